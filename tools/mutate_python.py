@@ -49,6 +49,8 @@ _CALCULATED: dict[type[ast.operator], str] = {
 }  # fmt: skip
 _OPERATOR = re.compile(r"not\s+in|is\s+not|//=?|<<=?|>>=?|[<>=!]=|[-+*/&|]=?|[<>]|\bin\b|\bis\b|\band\b|\bor\b")
 _AXES = {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "fl": "fr", "fr": "fl", "rl": "rr", "rr": "rl"}
+# Only NaN tells the order of arguments of these apart; the last are those of hil/addons/fmu_check/slave.py.
+_SYMMETRIC = {"min", "max", "math.hypot", "np.hypot", "math.isclose", "same", "close", "same_time"}
 _UNITS = {"radians", "degrees", "deg2rad", "rad2deg"}
 _RETURNED = {"bool": ("True", "False"), "float": ("0.0",), "int": ("0",), "str": ('""',), "None": ("",)}
 
@@ -166,8 +168,7 @@ def _calls(source: _Source, node: ast.AST) -> Iterator[Mutant]:
     if not isinstance(node, ast.Call):
         return
     for one, two in zip(node.args, node.args[1:], strict=False):
-        # Only NaN tells the order of these apart.
-        if source.of(node.func) in ("min", "max", "math.hypot", "np.hypot"):
+        if source.of(node.func) in _SYMMETRIC:
             break
         if not isinstance(one, ast.Starred) and not isinstance(two, ast.Starred):
             between = source.text[source.span(one)[1] : source.span(two)[0]].decode()

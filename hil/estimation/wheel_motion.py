@@ -87,10 +87,10 @@ class MotionReader:
             e, f, g, h = now.encoder_count
             # The signed distance between two 16-bit counts, the shorter way around.
             return Wheels(
-                scale * (((e - a + 0x8000) & 0xFFFF) - 0x8000),
-                scale * (((f - b + 0x8000) & 0xFFFF) - 0x8000),
-                scale * (((g - c + 0x8000) & 0xFFFF) - 0x8000),
-                scale * (((h - d + 0x8000) & 0xFFFF) - 0x8000),
+                scale * ((((e - a) & 0xFFFF) ^ 0x8000) - 0x8000),
+                scale * ((((f - b) & 0xFFFF) ^ 0x8000) - 0x8000),
+                scale * ((((g - c) & 0xFFFF) ^ 0x8000) - 0x8000),
+                scale * ((((h - d) & 0xFFFF) ^ 0x8000) - 0x8000),
             )
         at_s = min(dt_s, _LONGEST_S)
         return Wheels(*(0.5 * (a + b) * at_s for a, b in zip(last.speed_rad_s, now.speed_rad_s, strict=True)))

@@ -79,7 +79,7 @@ class Lqi:
         self._torque = mode is CommandMode.TORQUE
         self._predictor = DelayPredictor(model)
         self._feedback: tuple[float, ...] = ()
-        self._integral: Axes = (0.0, 0.0, 0.0)
+        self._integral: Axes
 
     def reset(self, state: State, reference: Reference) -> None:
         """Reset the integral, and discard the commands that do not act yet."""

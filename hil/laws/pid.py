@@ -45,8 +45,8 @@ class Pid:
         self._model = model
         self._options = options
         self._torque = mode is CommandMode.TORQUE
-        self._integral: Axes = (0.0, 0.0, 0.0)
-        self._wheel_integral = ZERO_WHEELS
+        self._integral: Axes
+        self._wheel_integral: Wheels
 
     def reset(self, state: State, reference: Reference) -> None:
         """Reset the integrals."""

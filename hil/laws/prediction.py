@@ -83,8 +83,8 @@ class ExtendedStateObserver:
                 raise ValueError(f"observer: {value!r}: expected a finite number, more than zero")
         self._bandwidth_rad_s = bandwidth_rad_s
         self._limit = disturbance_limit
-        self._dt_s = 0.0
-        self._gains = (0.0, 0.0, 0.0)
+        self._dt_s = math.nan
+        self._gains: tuple[float, float, float]
         self.reset(0.0, 0.0)
 
     def reset(self, position: float, rate: float) -> None:
@@ -244,19 +244,19 @@ class DelayPredictor:
         self._observers = observers
         self._from_observers = from_observers
         self._pending = PendingCommands()
-        self._commanded = _ZERO
-        self._sent = ZERO_WHEELS
-        self._latency_s = 0.0
-        self._is_new = True
-        self.disturbance = _ZERO
-        self.moved: Pairs = _ZERO + _ZERO
+        self._commanded: Axes
+        self._sent: Wheels
+        self._latency_s: float
+        self._is_new: bool
+        self.disturbance: Axes
+        self.moved: Pairs
         self.shares = 1.0, 1.0
 
     def reset(self, state: State) -> None:
         """Start at this state, with no command sent and no disturbance."""
         self._pending.reset()
         self.moved = _ZERO + _ZERO
-        self._commanded, self._sent, self._latency_s = _ZERO, ZERO_WHEELS, 0.0
+        self._commanded, self._sent = _ZERO, ZERO_WHEELS
         self._is_new = True
         self.disturbance = _ZERO
         for observer, position, rate in zip(self._observers, *state, strict=False):

@@ -30,8 +30,8 @@ class FirstOrderFilter:
 
     def __init__(self, filter_s: float) -> None:
         self._filter_s = filter_s
-        self._dt_s = self._rate_1_s = 0.0
-        self.value: Axes = (0.0, 0.0, 0.0)
+        self._dt_s = self._rate_1_s = NAN
+        self.value: Axes
 
     def step(self, desired: Axes, dt_s: float) -> Axes:
         """Advance by ``dt_s`` [s] with this input, and return the mean slope over the step."""

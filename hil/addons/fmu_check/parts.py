@@ -14,7 +14,7 @@ from hil.addons.fmu_check.slave import (
     Outputs,
     Slave,
     close,
-    near,
+    same_time,
     same,
     start,
 )
@@ -136,7 +136,7 @@ def time(model: Model) -> Iterator[Finding]:
         for step in range(_STEPS + 1):
             if clock is not None:
                 (value,) = slave.get(clock)
-                if not near(value, reached_s):
+                if not same_time(value, reached_s):
                     yield violation(
                         f"the time {clock.name} is {value!r} s; expected {reached_s!r} s, to where it was stepped"
                     )
@@ -162,9 +162,9 @@ def step_size(model: Model) -> Iterator[Finding]:
                 return
             time_s += size_s
         yield from _not_finite(model, slave, "after steps of various sizes")
-    half = _held(model, 1.0, _STEPS // 2)
-    whole = _held(model, 1.0, _STEPS)
-    if same(_held(model, 0.5, _STEPS), whole) and not same(half, whole):
+    size_s = model.step_s
+    half, whole = (_held(model, size_s, steps) for steps in (_STEPS // 2, _STEPS))
+    if same(_held(model, 0.5 * size_s, _STEPS), whole) and not same(half, whole):
         yield violation(f"{_STEPS} steps of half the size bring the outputs as far as {_STEPS} whole ones")
 
 
@@ -276,12 +276,12 @@ def _require(condition: object, reason: str) -> None:
         raise NotTestedError(reason)
 
 
-def _held(model: Model, factor: float, steps: int) -> Outputs:
-    """Return the outputs after so many steps of ``factor`` times the usual size, with inputs that stay."""
+def _held(model: Model, size_s: float, steps: int) -> Outputs:
+    """Return the outputs after so many steps of a size [s], with inputs that stay."""
     with model.instance() as slave:
         slave.drive(1)
         for step in range(steps):
-            slave.step(model.start_s + step * factor * model.step_s, factor * model.step_s)
+            slave.step(model.start_s + step * size_s, size_s)
         return [value for variable in model.outputs if variable.type in FLOATS for value in slave.get(variable)]
 
 

@@ -107,7 +107,7 @@ class Slave:
             finding = violation(f"doStep from {time_s:g} s asks for event mode, which was not agreed on")
         elif early:
             finding = violation(f"doStep from {time_s:g} s returns early, which was not agreed on")
-        elif not near(reached_s, end_s):
+        elif not same_time(reached_s, end_s):
             finding = need(
                 f"doStep to {end_s:g} s gives the last successful time {reached_s:g} s; this importer takes "
                 "the outputs for those of its own time"
@@ -260,15 +260,15 @@ def close(values: Sequence[Value], expected: Sequence[Value]) -> bool:
 
     def is_close(one: Value, other: Value) -> bool:
         if isinstance(one, float) and isinstance(other, float):
-            return one == other or abs(one - other) <= _CLOSE * abs(other)
+            return math.isclose(one, other, rel_tol=_CLOSE)
         return one == other
 
     return len(values) == len(expected) and all(map(is_close, values, expected))
 
 
-def near(time_s: float, expected_s: float) -> bool:
+def same_time(time_s: float, expected_s: float) -> bool:
     """Return whether two times are equal but for rounding."""
-    return abs(time_s - expected_s) <= _ROUNDING * max(1.0, abs(expected_s))
+    return math.isclose(time_s, expected_s, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
 
 
 def same(left: object, right: object) -> bool:

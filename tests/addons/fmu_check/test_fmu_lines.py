@@ -12,7 +12,7 @@ from hil.addons.fmu_check import Finding, Kind
 from hil.addons.fmu_check.check import CheckResult, Part
 from hil.addons.fmu_check.fmu_command import _check_lines, _info_lines
 from hil.addons.fmu_check.info import info
-from hil.addons.fmu_check.slave import Model, close, near
+from hil.addons.fmu_check.slave import Model, close, same_time
 from hil.core.errors import BadInputError
 from tests.support.broken_fmu import Change, pack, same
 
@@ -227,4 +227,4 @@ def test_numbers_are_close_and_times_near_but_for_rounding() -> None:
         (0.9e-9, 0.0, True), (1.1e-9, 0.0, False), (100.0 + 0.9e-7, 100.0, True), (100.0 + 1.1e-7, 100.0, False),
         (1e9 + 1.0, 1e9, True),
     ):  # fmt: skip
-        assert near(time_s, expected_s) is is_near
+        assert same_time(time_s, expected_s) is is_near

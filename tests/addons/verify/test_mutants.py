@@ -37,6 +37,11 @@ def test_the_catalogue_has_mutants_of_each_room_and_no_two_change_the_same() -> 
     assert len(set(changes)) == len(changes)
     assert all(from_text(entry.mutant.to_text()) == entry.mutant for entry in CATALOGUE.mutants)
     assert CATALOGUE.variations
+    mass = ENTRIES["plant.mass_more"]
+    assert (mass.room, mass.way, mass.target) == ("plant", "start", "start")
+    (row,) = [one for one in tomllib.loads((FOLDER / "plant.toml").read_text())["mutant"] if one["id"] == "mass_more"]
+    assert (mass.wrong, mass.size, mass.mutant.start) == (row["wrong"], row["size"], row["start"])
+    assert (ENTRIES["law.gain_half"].way, ENTRIES["law.gain_half"].target) == ("wrap", "law")
 
 
 def test_every_row_of_the_catalogue_can_be_applied() -> None:

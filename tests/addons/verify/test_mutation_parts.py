@@ -225,6 +225,12 @@ def test_of_signals_with_a_clear_margin_the_one_that_reads_best_is_claimed() -> 
     barely = run({}, robot__a=[-9.0, 2.0, 0.0, 1.0], error__x_m=[0.0, 4.1, 0.0, 1.0], other=[0.0, 1.0, 0.0, 1.0])
     least = suggestion("mine", 3.0, healthy, barely)
     assert least == Suggestion("mine", "signal", "robot.a", 0.0, "above", -5.0, -1.0, -9.0, pytest.approx(4.0 / 9.0))
+    # A margin of exactly a twentieth is clear.
+    slight = suggestion(
+        "mine", 3.0, [run({"f": 20.0}, a=[0.0, 1.0, 0.0, 1.0])], run({"f": 18.0}, a=[0.0, 9.0, 0.0, 9.0])
+    )
+    assert slight is not None
+    assert (slight.name, slight.bound, slight.margin) == ("f", 19.0, 0.05)
     gone = run({}, robot__a=[None, None, None, None], error__x_m=[0.0, 4.0, 0.0, 1.0], other=[0.0, 1.0, 0.0, 1.0])
     assert suggestion("mine", 3.0, healthy, gone) is None
 

@@ -11,14 +11,14 @@ from typing import Any
 import jsonschema
 import pytest
 
-from hil.addons.batch.job import FAILED, REFUSED
+from hil.addons.batch.job import ENDED, FAILED, PASSED, REFUSED, Outcome
 from hil.addons.batch.pool import run_jobs
 from hil.addons.batch.store import ROWS, read_rows
 from hil.addons.verify import results
 from hil.addons.verify import verify as engine
 from hil.addons.verify.catalogue import Entry, read_catalogue
 from hil.addons.verify.mutation.mutant import Mutant
-from hil.addons.verify.run import run_tests
+from hil.addons.verify.run import run, run_tests
 from hil.addons.verify.suite import read_suite
 from hil.core.errors import BadInputError
 from hil.core.subprocesses import module_command
@@ -145,6 +145,8 @@ def test_a_file_of_tests_notices_a_mutant(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "report", "said", "outcome"),
     [
+        *((number, "", "bad\n", (REFUSED, f"pytest ended with {number}: bad")) for number in (2, 3)),
+        (1, "", "gone\n", (FAILED, "pytest ended with 1: gone")),
         (5, "", "no tests ran in 0.01s\n", (REFUSED, "pytest ended with 5: no tests ran in 0.01s")),
         (4, "", "", (REFUSED, "pytest ended with 4: no word")),
         (-9, "", "", (FAILED, "pytest ended with -9: no word")),
@@ -167,6 +169,60 @@ def test_why_a_file_of_tests_did_not_pass_is_what_pytest_says(
     (member,) = read_suite([str(tests)])
     monkeypatch.setattr(subprocess, "run", ended)
     assert run_tests(member.job(), member.scenario)[1:3] == outcome
+
+
+def test_the_wire_of_the_lockstep_runs_of_tests_is_what_a_mutant_may_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[str]] = []
+
+    def ended(command: list[str], **_: object) -> "subprocess.CompletedProcess[str]":
+        asked.append(command)
+        (option,) = (word for word in command if word.startswith("--junitxml="))
+        rows = {"a.wire_sha256": "1f", "a.mode": "lockstep", "b.wire_sha256": "2f", "b.mode": "realtime", "a.x": "3"}
+        told = "".join(f'<property name="{name}" value="{value}"/>' for name, value in rows.items())
+        report = f'<testsuites><testcase name="one"><properties>{told}</properties></testcase></testsuites>'
+        Path(option.partition("=")[2]).write_text(report, encoding="utf-8")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    (tests := tmp_path / "test_mine.py").touch()
+    (member,) = read_suite([str(tests)])
+    monkeypatch.setattr(subprocess, "run", ended)
+    job = member.job(HEAVY.mutant)
+    assert run_tests(job, member.scenario) == Outcome(job.key, PASSED, None, {"one a.wire_sha256": "1f"})
+    assert asked[0][-3:] == ["hil.addons.verify.plugin", "--hil-mutant", HEAVY.mutant.to_text()]
+    run_tests(member.job(), member.scenario)
+    assert asked[1][-1] == str(tests)
+
+
+@pytest.mark.parametrize(
+    ("claim", "status", "reason"), [("above = 2.0", PASSED, None), ("below = 2.0", FAILED, "robot.")]
+)
+def test_a_run_tells_figures_wire_and_extremes(claim: str, status: str, reason: str | None, tmp_path: Path) -> None:
+    scenario = tmp_path / "quick.toml"
+    scenario.write_text(SCENARIO.format(signal="robot.state", claim=claim).replace("1.5", "0.2"), encoding="utf-8")
+    (member,) = read_suite([str(scenario)])
+    job = member.job()
+    found = run(job, member.scenario)
+    assert (found.key, found.status) == (job.key, status)
+    assert reason is None if found.reason is None else str(reason) in found.reason
+    assert {"wire_sha256", "applied", "effort_n_m_s"} <= set(found.figures)
+    assert set(found.details) == {"extremes"}
+    assert found.details["extremes"]["robot.state"][1] == 3.0
+    heavier = run(member.job(HEAVY.mutant), member.scenario)
+    assert heavier.figures["wire_sha256"] != found.figures["wire_sha256"]
+
+
+def test_a_law_that_is_wrong_ends_the_run(tmp_path: Path) -> None:
+    (tmp_path / "law.py").write_text(
+        "class Broken:\n"
+        "    def reset(self, state, reference):\n        pass\n"
+        "    def update(self, reference, state, applied, dt_s):\n        return 1.0 / 0.0\n"
+    )
+    scenario = 'extends = "circle_speed"\nexpect = []\n[controller]\nlaw = "./law.py:Broken"\n'
+    (tmp_path / "broken.toml").write_text(scenario, encoding="utf-8")
+    (member,) = read_suite([str(tmp_path / "broken.toml")])
+    assert run(member.job(), member.scenario).status == ENDED
 
 
 def test_a_baseline_notices_other_bytes(tmp_path: Path) -> None:
