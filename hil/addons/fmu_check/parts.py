@@ -14,8 +14,8 @@ from hil.addons.fmu_check.slave import (
     Outputs,
     Slave,
     close,
-    same_time,
     same,
+    same_time,
     start,
 )
 from hil.core.clock import TICK_NS
