@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from fmpy.fmi2 import FMU2Slave
@@ -17,6 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.addons.fmu_check import Kind
+from hil.addons.fmu_check import __main__ as child
+from hil.addons.fmu_check import check as checker
 from hil.addons.fmu_check.__main__ import run_parts
 from hil.addons.fmu_check.check import CheckResult, _Progress, check
 from hil.addons.fmu_check.parts import PARTS, title
@@ -125,19 +128,139 @@ def run_here(fmu: Path, parts: Sequence[str] = tuple(map(title, PARTS))) -> Chec
     return CheckResult(tuple(progress.parts))
 
 
-@pytest.mark.parametrize(("fmi", "fault"), CASES)
-def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, tmp_path: Path) -> None:
+def assert_found(fault: str, result: CheckResult) -> None:
+    """Assert that a fault is found by its part alone, and is of its kind."""
     part, words = FAULTS[fault]
-    fmu = lag(tmp_path, fmi, fault)
-    if NEEDS_A_CHILD.search(fault):
-        result = check(fmu, longest_s=1.0) if fault == "HANG_IN_STEP" else check(fmu)
-        assert [p.name for p in result.parts[2:]] == [title(p) for p in PARTS]
-    else:
-        result = run_here(fmu)
     told = result.texts(kind_of(fault))
     assert any(words in one for one in told), found(result)
     assert found(result) == told
     assert {one.split(":")[0] for one in told} == {part}
+
+
+@pytest.mark.parametrize(("fmi", "fault"), [case for case in CASES if NEEDS_A_CHILD.search(case[1])])
+def test_a_fault_is_found_by_its_part_and_is_of_its_kind(fmi: int, fault: str, tmp_path: Path) -> None:
+    fmu = lag(tmp_path, fmi, fault)
+    result = check(fmu, longest_s=1.0) if fault == "HANG_IN_STEP" else check(fmu)
+    assert [p.name for p in result.parts[2:]] == [title(p) for p in PARTS]
+    assert_found(fault, result)
+
+
+@pytest.mark.parametrize(("fmi", "fault"), [case for case in CASES if not NEEDS_A_CHILD.search(case[1])])
+def test_a_fault_that_leaves_the_process_alone_is_found_too(fmi: int, fault: str, tmp_path: Path) -> None:
+    assert_found(fault, run_here(lag(tmp_path, fmi, fault)))
+
+
+def test_without_inputs_no_output_can_follow_them(tmp_path: Path) -> None:
+    fmu = lag(tmp_path, 2, "STALE_OUTPUT", text('causality="input"', 'causality="local"'))
+    (part,) = run_here(fmu, ["initialization"]).parts
+    assert (part.findings, part.skipped) == ((), "there are no floating-point inputs")
+
+
+def test_each_step_begins_where_the_one_before_ended_and_has_inputs_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[tuple[str, float, float]] = []
+    step, drive = Slave.step, Slave.drive
+    monkeypatch.setattr(Slave, "step", lambda *at: (done.append(("step", *at[1:])), step(*at))[1])
+    monkeypatch.setattr(Slave, "drive", lambda *at: (done.append(("drive", *at[1:], 0.0)), drive(*at))[1])
+    fixed = lag(tmp_path, 2, change=text('canHandleVariableCommunicationStepSize="true"', ""))
+    any_size = lag(tmp_path, 3)
+
+    def steps(fmu: Path, part: str, *, driven: bool = False) -> list[float]:
+        done.clear()
+        run_here(fmu, [part])
+        assert not driven or [row[1] for row in done if row[0] == "drive"] == [*range(20)]
+        return [value for name, *values in done if name == "step" for value in values]
+
+    once = [value for number in range(20) for value in (0.5 + 0.01 * number, 0.01)]
+    assert steps(fixed, "bridge step", driven=True) == pytest.approx(once)
+    assert steps(any_size, "bridge step") == []
+    assert steps(any_size, "variables", driven=True) == pytest.approx(once)
+    assert steps(any_size, "termination", driven=True) == pytest.approx(once)
+    assert steps(any_size, "life cycle") == pytest.approx(2 * once)
+    assert steps(any_size, "time") == pytest.approx([*once, 0.7, 0.01])
+    assert steps(any_size, "debug logging") == [0.5, 0.01]
+    sizes_s = [0.01, 0.005, 0.03, 0.001, 0.017, 0.001]
+    various = [value for number, size_s in enumerate(sizes_s) for value in (0.5 + sum(sizes_s[:number]), size_s)]
+    half = [value for number in range(20) for value in (0.5 + 0.005 * number, 0.005)]
+    assert steps(any_size, "step size") == pytest.approx([*various, *once[:20], *once, *half])
+
+
+def test_the_child_works_in_the_library_s_folder_and_says_what_it_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some libraries look for others in the working directory."""
+    fmu, said = lag(tmp_path, 2, "WRONG_VERSION"), list[dict[str, object]]()
+    with archive.extract(fmu) as folder:
+        library = folder / archive.library_of(fmu).member
+        job = {"fmu": str(fmu), "library": str(library), "version": "2.0", "parts": ["version", "reset"]}
+        parent = SimpleNamespace(scratch=folder, receive=lambda: job, send=lambda **entry: said.append(entry))
+        monkeypatch.setattr(child, "Parent", lambda: parent)
+        monkeypatch.chdir(tmp_path)
+        child.main()
+        assert Path.cwd() == library.parent
+        monkeypatch.chdir(tmp_path)
+    assert [entry["part"] for entry in said if "part" in entry] == ["version", "reset"]
+    (wrong,) = (entry for entry in said if "found" in entry)
+    assert wrong == {"kind": "violation", "found": "fmi2GetVersion gives '1.9'; expected 2.0"}
+    assert [entry for entry in said if "doing" in entry][-1] == said[-1] == {"doing": "at its exit"}
+    assert said.count({"done": True}) == 2
+
+
+def test_a_call_may_last_as_long_as_is_given_once_the_first_part_has_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And until then a minute, for our own modules; each record of the child is a new call."""
+    watched: list[tuple[float, object]] = []
+    rows = [{"here": True}, {"part": "functions"}, {"doing": "in f"}, {"done": True}, {"doing": "at its exit"}]
+    told: list[str] = []
+    watch: SimpleNamespace
+    ended, memory_mb = list[float](), list[float]()
+
+    def made_watch(pending: object, expire: object, limit_s: float, look: Callable[[], object]) -> SimpleNamespace:
+        nonlocal watch
+        watch = SimpleNamespace(pending=pending, limit_s=limit_s, stop=lambda: None)
+        assert (expire, limit_s) == (process.give_up, 9.0)
+        look()
+        return watch
+
+    def received() -> Iterator[dict[str, object]]:
+        for row in rows:
+            watched.append((watch.limit_s, watch.pending()))
+            yield row
+
+    process = SimpleNamespace(
+        give_up=lambda _: None, limit_memory=memory_mb.append, close=ended.append, send=told.append,
+        receive_all=received, wait=lambda: 0, ending=lambda: "it ended",
+    )  # fmt: skip
+    monkeypatch.setattr(checker, "ChildProcess", lambda *_: process)
+    monkeypatch.setattr(checker, "Watch", made_watch)
+    said: list[str] = []
+    job = {"fmu": "a.fmu", "parts": ["functions"]}
+    (part,) = checker._run_child(job, tmp_path, 9.0, said.append)
+    assert watched == [(60.0, 0), (60.0, 1), (9.0, 2), (9.0, 3), (9.0, 4)]
+    assert (told, said, ended, memory_mb) == ([job], ["functions"], [0.0], [2000.0])
+    assert (part.name, part.findings) == ("functions", ())
+    rows[-2:] = []
+    (part,) = checker._run_child(job, tmp_path, 9.0, said.append)
+    assert [one.text for one in part.findings] == ["in f, it ended"], "it did not get to its end"
+    rows[:] = [{"refused": "needs more"}]
+    with pytest.raises(BadInputError, match=r"^FMU a.fmu: needs more$"):
+        checker._run_child(job, tmp_path, 9.0, said.append)
+
+
+def test_an_instance_is_freed_but_for_one_that_answered_fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    made = SimpleNamespace(initialise=lambda: calls.append("initialise"), call=calls.append)
+    monkeypatch.setattr("hil.addons.fmu_check.slave.Slave", lambda _: made)
+    model = Model(lag(tmp_path, 2), tmp_path, tmp_path / "none.so", "2.0", lambda **_: None)
+    for initialised in (True, False):
+        with model.instance(initialised=initialised) as slave:
+            assert slave is made
+    assert calls == ["initialise", "FreeInstance", "FreeInstance"]
+    with model.instance():
+        model.is_fatal = True
+    assert calls[3:] == ["initialise"]
 
 
 def test_a_part_steps_as_often_as_it_needs_to_be_sure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,19 +463,19 @@ def test_a_check_that_is_ended_leaves_no_child_and_no_files(tmp_path: Path, numb
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     code = f"from pathlib import Path; from hil.addons.fmu_check.check import check; check(Path({str(fmu)!r}), 1000)"
-    checker = subprocess.Popen(
+    checking = subprocess.Popen(
         [sys.executable, "-c", code], env=environment() | {"TMPDIR": str(scratch)}, cwd=ROOT, stderr=subprocess.DEVNULL
     )
     try:
         wait_for(lambda: list(scratch.glob("*/binaries/*/hanging")))
-        found = subprocess.run(["pgrep", "-P", str(checker.pid)], capture_output=True, text=True, check=True)
-        (child,) = map(int, found.stdout.split())
-        assert is_running(child)
-        checker.send_signal(number)
-        assert checker.wait() != 0
+        found = subprocess.run(["pgrep", "-P", str(checking.pid)], capture_output=True, text=True, check=True)
+        (its_child,) = map(int, found.stdout.split())
+        assert is_running(its_child)
+        checking.send_signal(number)
+        assert checking.wait() != 0
     finally:
-        checker.kill()
-    wait_for(lambda: not is_running(child))
+        checking.kill()
+    wait_for(lambda: not is_running(its_child))
     assert list(scratch.iterdir()) == []
 
 

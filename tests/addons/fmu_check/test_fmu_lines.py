@@ -1,11 +1,15 @@
 """What ``hil fmu`` shows, and what a check assumes of an FMU, by its description alone: no code of an FMU runs."""
 
 import hashlib
+import json
+import subprocess
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from fmpy.fmi1 import FMICallException
+from typer.testing import CliRunner
 
 import plant_fmu
 from hil.addons.fmu_check import Finding, Kind
@@ -13,7 +17,9 @@ from hil.addons.fmu_check.check import CheckResult, Part
 from hil.addons.fmu_check.fmu_command import _check_lines, _info_lines
 from hil.addons.fmu_check.info import info
 from hil.addons.fmu_check.slave import Model, close, same_time
+from hil.cli.main import app
 from hil.core.errors import BadInputError
+from hil.plant.built import MUJOCO
 from tests.support.broken_fmu import Change, pack, same
 
 
@@ -141,6 +147,77 @@ def test_a_check_prints_each_part_with_its_worst_finding_then_violations_needs_a
     ):
         *_, last = _check_lines(Path("a.fmu"), result(Part("one", (bad,) * violations + (need,) * needs)))
         assert last == f"a.fmu: {words}"
+
+
+# The commands
+
+
+@pytest.mark.parametrize(("kind", "code"), [("violation", 1), ("need", 0), ("note", 0)])
+def test_the_command_prints_what_a_check_found_and_fails_for_violations_alone(
+    kind: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = pack(tmp_path / "a.fmu", 2)
+    checked: list[Path] = []
+
+    def made(path: Path, say: Callable[[str], object]) -> CheckResult:
+        checked.append(path)
+        say("functions")
+        return result(Part("functions", (Finding(Kind(kind), "so it is"),)))
+
+    monkeypatch.setattr("hil.addons.fmu_check.check.check", made)
+    done = CliRunner().invoke(app, ["fmu", "check", str(fmu)])
+    assert (done.exit_code, checked) == (code, [fmu])
+    assert f"{kind}: functions: so it is" in done.stdout.splitlines()
+    done = CliRunner().invoke(app, ["fmu", "check", str(fmu), "--json"])
+    assert done.exit_code == code
+    assert json.loads(done.stdout) == {
+        "fmu": str(fmu), "passed": code == 0,
+        "parts": [{"name": "functions", "findings": [{"kind": kind, "text": "so it is"}], "skipped": None}],
+    }  # fmt: skip
+
+
+def test_the_command_prints_what_an_fmu_says_of_itself(tmp_path: Path) -> None:
+    fmu = str(pack(tmp_path / "a.fmu", 3))
+    done = CliRunner().invoke(app, ["fmu", "info", fmu, "g*"])
+    assert done.exit_code == 0
+    assert done.stdout.splitlines()[0].startswith(str(tmp_path)[:30])
+    assert done.stdout.splitlines()[-1].split()[:2] == ["gain", "parameter"]
+    assert [
+        one["name"]
+        for one in json.loads(CliRunner().invoke(app, ["fmu", "info", fmu, "w", "--json"]).stdout)["variables"]
+    ] == ["w"]
+
+
+@pytest.mark.parametrize(
+    ("words", "arguments"),
+    [
+        ([], []),
+        (["--out", "there"], ["--out", str(Path.cwd() / "there")]),
+        (["--all-platforms", "--out", "there"], ["--all-platforms", "--out", str(Path.cwd() / "there")]),
+    ],
+)
+def test_an_fmu_is_built_by_the_script_of_the_checkout(
+    words: list[str], arguments: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripts: list[tuple[str, ...]] = []
+    status = 0
+
+    def script(*called: str) -> "subprocess.CompletedProcess[str]":
+        scripts.append(called)
+        return subprocess.CompletedProcess(called, status, "made\n", "no compiler\n")
+
+    monkeypatch.setattr("firmware_protocol.built.run_script", script)
+    for mujoco in ([], ["--mujoco"]) if "--all-platforms" not in words else ([],):
+        done = CliRunner().invoke(app, ["fmu", "build", *words, *mujoco])
+        assert (done.exit_code, done.stdout) == (0, "made\n")
+    assert scripts[0] == ("tools.build.fmu", *arguments)
+    if len(scripts) > 1:
+        file = [*arguments[:-1], f"{arguments[-1]}/{MUJOCO.name}"] if arguments else []
+        assert scripts[1] == ("tools.build.mujoco_fmu", *file)
+    status = 1
+    done = CliRunner().invoke(app, ["fmu", "build", *words], catch_exceptions=True)
+    assert done.exit_code != 0
+    assert str(done.exception) == "the FMU was not built: no compiler"
 
 
 # What a check assumes of a description

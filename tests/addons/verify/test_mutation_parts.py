@@ -186,6 +186,9 @@ def test_a_figure_that_moved_is_claimed_about_halfway() -> None:
     found = suggestion("mine", 3.0, healthy, run({"a": 2.0, "b": 4.0, "sha": "y"}))
     assert found == Suggestion("mine", "figure", "a", 0.0, "below", 1.6, 1.1, 2.0, pytest.approx(0.25))
     assert found.toml == '[[expect]]\nfigure = "a"\nbelow = 1.6\n'
+    lacking = [run({"a": 1.0, "c": None}), run({"a": None, "c": None})]
+    assert suggestion("mine", 3.0, lacking, run({"a": 2.0, "c": 9.0})) is None, "not all runs have the figure"
+    assert suggestion("mine", 3.0, healthy, run({"a": None, "b": 5.0, "sha": None})) is None
     less = suggestion("mine", 3.0, healthy, run({"a": 1.05, "b": 4.0, "sha": "y"}))
     assert less == Suggestion("mine", "figure", "b", 0.0, "above", 4.5, 5.0, 4.0, pytest.approx(0.1))
 

@@ -223,7 +223,7 @@ def changed_node(make_node: MakeNode, options: Mapping[str, Any]) -> MakeNode:
 
     def make(values: Mapping[str, float], exchange_address: int, context_address: int, **further: Any) -> ClockedNode:
         exchange = _Exchange(exchange_address, context_address, options)
-        node = make_node(values, exchange.address, 0, **further)
+        node = make_node(values, exchange.address, context_address, **further)
         node.changed_exchange = exchange  # type: ignore[attr-defined]  # it must live as long as the node
         return node
 
