@@ -17,7 +17,7 @@ from hil.addons.batch.job import FAILED, PASSED, REFUSED, Job, Outcome
 from hil.addons.verify import verify as engine
 from hil.addons.verify.catalogue import Entry
 from hil.addons.verify.mutation.mutant import Mutant
-from hil.addons.verify.suite import Member
+from hil.addons.verify.suite import RUN, TESTS, Member, read_suite
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 
@@ -227,6 +227,37 @@ def test_a_member_that_is_red_without_a_mutant_is_refused(status: str, problem: 
     assert str(refused.value) == (
         f"suite m: it {problem} without any mutant (no law); mend it first, since what is always red notices nothing"
     )
+
+
+# The members
+
+
+def test_a_job_is_another_with_other_tests_another_baseline_or_a_mutant(tmp_path: Path) -> None:
+    (tests := tmp_path / "test_mine.py").touch()
+    (member,) = read_suite([str(tests)])
+    keys = {member.job().key, member.job(limit_s=7.0).key}
+    assert len(keys) == 1
+    tests.write_text("def test_more(): ...\n", encoding="utf-8")
+    keys |= {member.job().key, member.job(entry("law.one").mutant).key, member.job(entry("law.two").mutant).key}
+    assert len(keys) == 4
+    assert member.job().kind == TESTS
+    (judged,) = read_suite(["circle_speed"])
+    (bare,) = read_suite(["circle_speed"], baselines=False)
+    assert judged.job().kind == RUN
+    assert judged.job().key != bare.job().key
+
+
+def test_a_varied_plant_is_judged_without_its_baseline_and_what_its_fmu_lacks_is_left_out() -> None:
+    (member,) = read_suite(["circle_speed"])
+    baseline = member.scenario.baseline
+    assert baseline is not None
+    for variation, kept, start in (
+        ({}, baseline, {}), ({"no_such_value": 7.0}, baseline, {}), ({"mass_kg": "*1.5"}, None, {"mass_kg": 30.0}),
+    ):  # fmt: skip
+        varied = member.varied(7, variation).scenario
+        assert varied.baseline == kept
+        assert varied.loop.seed == 7
+        assert varied.plant.start == {**member.scenario.plant.start, **start}
 
 
 # The command
