@@ -23,7 +23,7 @@ from hil.record.contents import (
     numbered_rows,
     why_nothing,
 )
-from hil.record.decode_rrd import _order
+from hil.record.decode_rrd import _order, _Piece, _whole_rows
 from hil.record.properties import APPLICATION, scenario_values, table_rows
 from tests.support.examples import share_of_examples
 
@@ -170,6 +170,9 @@ def test_a_property_that_differs_from_its_check_value_is_left_out_and_told() -> 
     assert sorted(held) == ["mine", "recorder", "run"]
     held.read("summary", {"json": "2", CHECK: property_check("summary", {"json": "2"})})
     assert held.damage() == ["its property 'part' is missing"], "the newest one counts"
+    held.read("summary", {"json": "3", CHECK: "00000000"})
+    assert "summary" not in held, "the newest one counts, and it is damaged"
+    held.read("summary", {"json": "2", CHECK: property_check("summary", {"json": "2"})})
     held.read("part", {"json": "{}"})
     assert held.damage() == ["its property 'part' differs from its check value and is left out"]
     assert "part" not in held
@@ -212,3 +215,27 @@ def test_rows_of_a_file_that_was_written_again_are_in_the_order_of_their_whole_i
     """The first half of an id is the time: the count in the second half may begin anew with another process."""
     ids = np.array([[2, 1], [1, 5], [1, 3], [2, 0]], np.uint64)
     assert ids[_order(ids)].tolist() == [[1, 3], [1, 5], [2, 0], [2, 1]]
+
+
+def test_rows_and_their_check_values_are_matched_by_their_ids_and_those_without_a_partner_are_left_out() -> None:
+    def of(ids: list[tuple[int, int]]) -> np.ndarray:
+        return np.array(ids, np.uint64).reshape(-1, 2)
+
+    every = [(1, 3), (1, 5), (2, 0), (2, 1), (3, 9)]
+    crcs = np.array([70, 71, 72, 73, 74], np.uint64)
+    words = numbered(np.arange(10, 15), crcs)
+    words[4] += np.uint64(1)  # it differs
+    for rows_of, words_of, whole in (
+        ([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3]),
+        ([1, 2, 3], [0, 1, 2], [1, 2]),
+        ([0, 3], [0, 1, 2, 3, 4], [0, 3]),
+        ([0, 1, 2, 4], [1, 4], [1]),
+        ([0, 1], [], []),
+    ):
+        rows = _Piece(of([every[i] for i in rows_of]), np.array(rows_of), crcs[rows_of], crcs[rows_of, None] * 0.5)
+        # They were read in two pieces, the later one first.
+        pieces = [(of([every[i] for i in some]), words[some]) for some in (words_of[1:], words_of[:1])]
+        numbers, found = _whole_rows(rows, pieces)
+        assert numbers.tolist() == [10 + i for i in whole]
+        assert found.ticks.tolist() == whole
+        assert found.values[:, 0].tolist() == [0.5 * (70 + i) for i in whole]

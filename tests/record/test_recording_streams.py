@@ -92,6 +92,31 @@ def assert_whole(found: Contents) -> None:
     assert found.events == [(n / 1000, "WARN", f"after {n}") for n in (4, 9, 15)]
 
 
+def test_an_event_is_in_the_file_as_soon_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    file = McapFile(path, 10**18, signals=SIGNAL_NAMES, properties={}, part=PART, make_frames=None)
+    file.rows(circle_table(2))
+    file.event(0.25, "error", "it is lost")
+    assert read(path).events == [(0.25, "ERROR", "it is lost")]
+    file.close()
+
+
+def test_a_stream_that_cannot_be_flushed_at_its_end_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rerun as rr
+
+    columns: dict[str, Any] = {"signals": SIGNAL_NAMES, "properties": {}, "make_drawing": None}
+    stream = Stream(rr.FileSink(tmp_path / "run.rrd"), recording_id="one", **columns)
+
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stream._rerun, "flush", fails)
+        with pytest.raises(RuntimeError, match="the disk is full"):
+            stream.close()
+    stream.close()
+
+
 def test_a_file_is_read_alike_whatever_the_size_of_the_pieces(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decode_mcap, "_COPY_BYTES", 37)
     monkeypatch.setattr(decode_rrd, "_COPY_BYTES", 37)

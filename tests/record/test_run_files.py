@@ -134,6 +134,39 @@ def test_the_next_file_is_tried_after_pauses_that_double_up_to_eight_seconds(
     assert (memory.ring.lines_saved, [path.name for path in folder.iterdir()]) == (1, ["run-2.mcap"])
 
 
+def test_a_second_file_takes_no_other_ones_place_and_leaves_room_on_the_disk(
+    memory: Memory, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory._config["rotate"] = [None, 0.01]
+    second, third = (numbered_path(tmp_path / "run.mcap", number) for number in (2, 3))
+    files = memory.files()
+    put(memory, 0, 15)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=run_files.ROOM_BYTES - 1))
+    files.write_until(15)
+    assert files.failing == "the disk is full (No space left on device)"
+    assert not second.exists()
+    second.write_text("of another run")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=run_files.ROOM_BYTES))
+    for error in (OSError(5, "Input/output error"), RuntimeError("odd")):
+
+        def fails(*_: object, error: Exception = error) -> None:
+            raise error
+
+        with monkeypatch.context() as patch:
+            patch.setattr(run_files, "_open_file", fails)
+            clock.now_s += 8.0
+            files.write_until(15)
+            assert files.failing is not None
+            assert str(error.args[-1]) in files.failing
+            assert not third.exists(), "a file that could not be begun is removed"
+    clock.now_s += 8.0
+    files.write_until(15)
+    files.finish({})
+    assert (files.failing, memory.ring.tail, second.read_text()) == (None, 15, "of another run")
+    assert decode_mcap(third).signals["loop.tick"].tolist() == list(range(10, 15))
+
+
 def test_while_no_file_can_be_written_the_newest_half_of_the_ring_is_kept(
     memory: Memory, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +58,45 @@ def assert_same_bits(path: Path, count: int) -> None:
 
 def record(path: Path, *, blocking: bool = True, capacity: int = 16384) -> Recording:
     return Recording(path, properties={}, blocking=blocking, capacity=capacity)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({}, None),
+        ({"head": 9}, "the recorder ended: it was killed"),
+        ({"dropped": 2}, "the recorder ended: it was killed"),
+        ({"lines_lost": 1}, "the recorder ended: it was killed"),
+    ],
+)
+def test_a_report_has_what_the_recorder_could_not_write_and_then_why(more: dict[str, int], why: str | None) -> None:
+    ring = SimpleNamespace(head=more.get("head", 7), saved=7, dropped=more.get("dropped", 0), files=dict)
+    run = SimpleNamespace(path=Path("run.mcap"), ring=ring, restarts=1, troubles=["it was killed"])
+    run.lines_lost, run._left_alone = more.get("lines_lost", 0), lambda _kept: ["there was another"]
+    report = Recording._make_report(run, {})  # type: ignore[arg-type]
+    troubles = ("the recorder ended: it was killed", "there was another")
+    lost = more.get("head", 7) - 7
+    assert report == RecordingReport(
+        run.path, 7 + lost + ring.dropped, 7, ring.dropped, lost, run.lines_lost, why, (), 1, troubles
+    )
+    told = Recording._make_report(run, {"error": "no summary", "live_error": "no port"})  # type: ignore[arg-type]
+    assert told.error == "no summary"
+
+
+@pytest.mark.parametrize(
+    ("live_port", "keep_live", "is_open"),
+    [(None, False, False), (None, True, False), (9, False, False), (9, True, True)],
+)
+def test_a_recorder_is_let_go_when_it_has_reported_unless_it_still_serves_viewers(
+    live_port: int | None, keep_live: bool, is_open: bool
+) -> None:
+    told: list[object] = []
+    run = SimpleNamespace(_result=None, _live_port=live_port, close=lambda: told.append("closed"))
+    run.end = lambda summary, keep_live: told.append((summary, keep_live))
+    run._make_report = lambda _reply: "the report"
+    for _ in range(2):  # the second time there is nothing left to do
+        assert Recording.finish(run, {"passed": True}, keep_live=keep_live) == "the report"  # type: ignore[arg-type]
+        assert told == [({"passed": True}, is_open), *["closed"] * (not is_open)]
 
 
 @linux_only
