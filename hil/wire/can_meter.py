@@ -110,8 +110,8 @@ class BusMeter:
     def __init__(self, bitrate: int, *, fd: bool = False, data_bitrate: int | None = None) -> None:
         self._is_fd = fd
         self._is_switched = data_bitrate is not None
-        self._bit_ns = 1_000_000_000 / bitrate
-        self._data_bit_ns = 1_000_000_000 / (data_bitrate or bitrate)
+        self._bit_ns = 1e9 / bitrate
+        self._data_bit_ns = 1e9 / (data_bitrate or bitrate)
         self.begin()
 
     def begin(self) -> None:

@@ -66,7 +66,7 @@ class LineMeter:
 
     def __init__(self, link: "StreamLink | MemoryBus", baud: int | None) -> None:
         self._link = link
-        self.byte_ns = _BITS_PER_BYTE * 1_000_000_000 / baud if baud else 0.0
+        self.byte_ns = _BITS_PER_BYTE * 1e9 / baud if baud else 0.0
         self.timed = baud is not None
         self.byte_counts = link.byte_counts
         self.begin()

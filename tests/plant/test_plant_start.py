@@ -51,9 +51,14 @@ def test_the_motor_constant_is_at_the_shaft_the_firmwares_at_the_wheel(sets: lis
 
 
 def test_the_map_carries_what_the_missing_signals_follow_from() -> None:
-    mapping = signal_map(load("paper_circle", set={"plant.map": {"pose.x_m": {"name": "x", "sign": -1}}}))
+    mapping = signal_map(
+        load("paper_circle", set={"plant.map": {"pose.x_m": {"name": "x", "sign": -1}}, "plant.step_s": 0.0005})
+    )
     assert mapping.rows == {"pose.x_m": Row("x", None, 0.0, -1)}
-    assert (mapping.counts_per_revolution, mapping.torque_constant_n_m_a) == (4096.0, 1.25)
+    assert (mapping.counts_per_revolution, mapping.torque_constant_n_m_a, mapping.step_s) == (4096.0, 1.25, 0.0005)
+
+
+ELSEWHERE = [f"plant.start.start_{name}={value}" for name, value in zip(Pose._fields, (1.5, -2.0, 0.25), strict=True)]
 
 
 @pytest.mark.parametrize(
@@ -61,12 +66,11 @@ def test_the_map_carries_what_the_missing_signals_follow_from() -> None:
     [
         ([], Pose(0.8, -0.2, 0.0)),
         (["plant.fmu=mecanum_fmi3"], Pose(0.8, -0.2, 0.0)),
+        (["plant.start.start_y_m=2"], Pose(0.8, 2.0, 0.0)),
         (["plant.fmu=./x.fmu"], None),
         (["plant.fmu=./x.fmu", "plant.start.start_x_m=1"], None),
-        (
-            ["plant.fmu=./x.fmu", *(f"plant.start.start_{name}=1" for name in Pose._fields)],
-            Pose(1.0, 1.0, 1.0),
-        ),
+        (["plant.fmu=./x.fmu", *ELSEWHERE], Pose(1.5, -2.0, 0.25)),
+        (["plant.fmu=./x.fmu", *ELSEWHERE, "plant.start.start_y_m=here"], None),
     ],
 )
 def test_where_a_foreign_fmu_starts_only_that_knows(sets: list[str], pose: Pose | None) -> None:

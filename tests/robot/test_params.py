@@ -113,6 +113,18 @@ def test_a_change_that_is_refused_before_others_says_that_nothing_was_changed() 
         client.write(client.check({"ramp_s": 0.3}))
 
 
+def test_a_change_that_is_refused_after_a_restore_says_that_all_are_those_of_the_build() -> None:
+    client = ParameterClient(RigLink(writes=1))
+    client.write(client.check({"ramp_s": 0.3}))
+    client.restore()
+    words = "not in IDLE; .*; changed before that, until the next reset: ramp_s, all to those of the build$"
+    with pytest.raises(DeviceError, match=words):
+        client.write(client.check({"watchdog_s": 0.04}))
+    for order in (client.store, client.restore):
+        with pytest.raises(DeviceError, match=words):
+            order()
+
+
 @pytest.mark.alone
 def test_a_robots_file_is_written_into_its_firmware_which_then_arms(tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"

@@ -97,6 +97,30 @@ def test_round_trips_are_told_in_milliseconds_with_their_number() -> None:
     assert 4.0 < figures["p99"] <= 9.0
 
 
+@pytest.mark.parametrize(
+    ("kind", "acts_on", "target", "value", "last_ms", "delay_ms"),
+    [
+        ("drop", "link", "feedback", 1.0, 1100, 0),
+        ("delay", "link", "feedback", 0.02, 1100, 20),
+        ("jitter", "link", "command", 0.007, 1100, 7),
+        ("reset", "device", "robot", 0.0, 1000, 0),
+    ],
+)
+def test_a_fault_explains_what_it_can_have_affected_to_the_nanosecond(
+    kind: str, acts_on: str, target: str, value: float, last_ms: int, delay_ms: int
+) -> None:
+    """From a feedback latency before it, to both latencies, the age of stale feedback and two periods behind it."""
+    row = FaultRow(kind, acts_on, target, 1000 * MS, 1100 * MS, value)
+    first, last = (1000 - 2) * MS, (last_ms + 3 + 2 + 25 + 2 * 5 + delay_ms) * MS
+    for t_ns, is_explained in ((first - 1, False), (first, True), (last, True), (last + 1, False)):
+        counted = NotDriven([row], Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS))
+        counted.hold(t_ns, is_stale=True)
+        assert counted.is_explained is is_explained
+    elsewhere = NotDriven([FaultRow("push", "plant", "force_x_n", 0, NEVER_NS, 1.0)], Timing(MS, 0, 0, 25 * MS))
+    elsewhere.hold(500 * MS, is_stale=True)
+    assert not elsewhere.is_explained, "a push cuts nothing off"
+
+
 def test_stale_and_held_ticks_are_counted_apart_and_explained_by_the_streak() -> None:
     row = FaultRow("drop", "link", "feedback", 1000 * MS, 1100 * MS, 1.0)
     counted = NotDriven([row], Timing(5 * MS, 3 * MS, 2 * MS, 25 * MS))

@@ -14,6 +14,7 @@ from hil.core.clock import LockstepClock
 from hil.core.errors import LinkError
 from hil.core.ports import Received
 from hil.faults.kinds import link_faults
+from hil.faults.link_faults import ErrorCounter
 from hil.faults.rows import NEVER_NS, FaultRow, ScenarioTime
 from hil.wire.byte_faults import BusFaults, FaultLine
 from hil.wire.conditions import ConditionedLink
@@ -35,7 +36,7 @@ class Wire:
         self.written = b""
         self.to_read = b""
         self.now = 0
-        self.reopened = 0
+        self.reopened = self.closed = 0
 
     def now_ns(self) -> int:
         return self.now
@@ -61,7 +62,7 @@ class Wire:
         self.reopened += 1
 
     def close(self) -> None:
-        pass
+        self.closed += 1
 
 
 def command(sequence: int) -> Frame:
@@ -413,10 +414,30 @@ def test_a_babbler_that_nobody_let_speak_in_its_window_is_silent_behind_it() -> 
     assert faults[0].applied == len(babbler.sent) == 5
 
 
-def test_a_bus_that_is_opened_anew_has_its_babbler_on_it_again() -> None:
+def test_a_bus_that_is_opened_anew_or_closed_is_so_for_its_babbler() -> None:
     wire, link, _, babbler = bus(row("babble", value=500.0))
     link.reopen()
     assert wire.reopened == babbler.reopened == 1
+    assert wire.closed == babbler.closed == 0
+    link.close()
+    assert wire.closed == babbler.closed == 1
+
+
+def test_a_controller_is_bus_off_at_256_counts_and_begins_at_0_again() -> None:
+    """A destroyed frame counts 8 and a whole one takes 1 off, but not below 0 (ISO 11898-1)."""
+    counter = ErrorCounter()
+    counter.succeeded()
+    assert [counter.failed() for _ in range(64)] == ([False] * 31 + [True]) * 2
+    assert [counter.failed() for _ in range(31)] == [False] * 31
+    for _ in range(8):
+        counter.succeeded()
+    assert [counter.failed(), counter.failed()] == [False, True]
+    for _ in range(31):
+        counter.failed()
+    for _ in range(9):
+        counter.succeeded()
+    assert [counter.failed() for _ in range(3)] == [False, False, True]
+    assert counter.destroyed == 64 + 31 + 2 + 31 + 3
 
 
 def test_on_can_a_babbling_node_keeps_its_rate_with_foreign_ids() -> None:

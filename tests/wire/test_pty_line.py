@@ -99,6 +99,28 @@ def test_in_lockstep_a_host_that_has_gone_is_not_waited_for_for_ever(monkeypatch
         assert not any(deframer.rejected.values())
 
 
+def test_a_host_that_reads_nothing_is_waited_for_2_s_and_a_read_waits_as_it_is_asked_to(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """By the sum of the waits: ``select`` is replaced, so that none lasts."""
+    waits: list[float] = []
+
+    def select_nothing(*arguments: float) -> tuple[list[int], ...]:
+        waits.append(arguments[3])
+        return [], [], []
+
+    monkeypatch.setattr(pty.select, "select", select_nothing)
+    stream = pty.PtyStream(waits=True)
+    with opened(stream):
+        assert (stream.read(0), waits) == (b"", [])
+        assert stream.read(3_000_000) == b""
+        assert [waits.pop()] == [pytest.approx(0.003)]
+        while stream.lost_frames == 0:
+            waits.clear()
+            stream.write(Framer().encode(FRAME))
+        assert sum(waits) == pytest.approx(2.0)
+
+
 def test_the_firmware_tells_how_many_frames_nobody_took():
     rig, stream = WheelRig(), pty.PtyStream()
     with opened(stream) as port:

@@ -15,15 +15,16 @@ from firmware_protocol.framer import Framer
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
 from firmware_protocol.host import library
+from hil.core.ports import Received
 from hil.core.signals import SIGNAL_NAMES
 from hil.runtime.assembly import run
 from hil.wire.can_bus import CanLink
 from hil.wire.can_meter import BusMeter, classic_bits, fd_bits
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
-from hil.wire.link_statistics import LoadWindow, observe
+from hil.wire.link_statistics import LineMeter, LoadWindow, observe
 from hil.wire.serial_url import SerialUrl
-from hil.wire.streams import memory_pair
+from hil.wire.streams import memory_bus, memory_pair
 from hil.wire.url import parse_link
 from tests.support.client_rig import feed, new_client
 from tests.support.heard import everything
@@ -136,6 +137,26 @@ def test_of_many_frames_at_once_those_count_that_were_given():
     while wire.receive(0) is not None:
         counted.append(statistics.figures()["received"]["frames"])
     assert counted == [50, 100, 120]
+
+
+def test_a_bus_in_memory_counts_payloads_in_both_directions_from_the_beginning():
+    here, there = memory_bus()
+    clock = Clock()
+    here.now_ns = clock.now_ns
+    meter = LineMeter(here, None)
+    for sent, received in (((3, 4), (8, 0, 2)), ((1,), (5, 5))):
+        meter.begin()
+        for length in sent:
+            here.send(Frame(0x100, bytes(length)))
+        for length in received:
+            there.send(Frame(0x200, bytes(length)))
+        clock.now += 7 * MS
+        assert here.receive(0) == Received([Frame(0x200, bytes(length)) for length in received], clock.now)
+        assert here.receive(0) is None
+        assert meter.counts() == ((len(sent), sum(sent)), (len(received), sum(received)))
+    assert (here.sent_frames, here.received_frames) == (3, 5)
+    assert (meter.timed, meter.byte_ns) == (False, 0.0)
+    assert LineMeter(here, 115_200).byte_ns == pytest.approx(1e9 * 10 / 115_200)
 
 
 @pytest.mark.parametrize("settings", ["", "?fd=1", "?fd=1&data_bitrate=4000000"])

@@ -178,3 +178,56 @@ def test_a_wheel_on_blocks_is_by_itself() -> None:
     rig.arm()
     [frame] = rig.driver.command((1.0, 0.0, 0.0, 0.0), STILL, rig.now_ns)
     assert struct.unpack(">4h", frame.payload) == (round(0.4 / rig.facts.torque_constant_n_m_a * 16384 / 20.0), 0, 0, 0)
+
+
+SPEEDS = (0.5, -0.75, 1.0, -1.25)
+
+
+def commanded(rig: Rig, at_ms: int, speeds: FourWheels, torques: FourWheels = STILL) -> list[float]:
+    """Hear that all rotors stand still, then return the torques [N·m] of a command."""
+    for number in (1, 2, 3, 4):
+        rig.driver.feed(Frame(0x200 + number, bytes(8)), at_ms * 1_000_000)
+    [frame] = rig.driver.command(speeds, torques, at_ms * 1_000_000)
+    n_m = rig.facts.torque_constant_n_m_a * 20.0 / 16384
+    return [count * n_m for count in struct.unpack(">4h", frame.payload)]
+
+
+def test_the_loop_adds_up_the_error_over_the_time_between_commands_of_at_most_two_periods() -> None:
+    """With a period of 5 ms; the first command counts as one period, and acts before its own error is added."""
+    rig = Rig("c620", {"kp_n_m_s_rad": 0.5, "ki_n_m_rad": 20.0})
+    commanded(rig, 1, STILL)
+    rig.driver.arm(0)
+    ahead = (0.1, 0.2, -0.3, 0.4)
+    added_s = 0.0
+    for at_ms, dt_s in ((2, 0.005), (5, 0.003), (15, 0.010), (26, 0.010), (27, 0.001)):
+        expected = [torque + (0.5 + 20.0 * added_s) * speed for torque, speed in zip(ahead, SPEEDS, strict=True)]
+        assert_near(commanded(rig, at_ms, SPEEDS, ahead), expected, 0.001)
+        added_s += dt_s
+    rig.driver.arm(0)
+    assert_near(commanded(rig, 28, SPEEDS), [0.5 * speed for speed in SPEEDS], 0.001)
+
+
+def test_at_the_limit_the_loop_adds_nothing_up_but_what_leads_away_from_it() -> None:
+    rig = Rig("c620", {"kp_n_m_s_rad": 0.5, "ki_n_m_rad": 20.0})
+    commanded(rig, 1, STILL)
+    rig.driver.arm(0)
+    limit = rig.facts.torque_limit_n_m
+    commanded(rig, 2, SPEEDS, STILL)
+    held = [20.0 * speed * 0.005 for speed in SPEEDS]
+    beyond = tuple(2.0 * limit if speed > 0.0 else -2.0 * limit for speed in SPEEDS)
+    full = [limit if speed > 0.0 else -limit for speed in SPEEDS]
+    assert_near(commanded(rig, 7, SPEEDS, beyond), full, 0.001)
+    assert_near(commanded(rig, 12, STILL), held, 0.001)
+    back = tuple(-speed for speed in SPEEDS)
+    assert_near(commanded(rig, 17, back, beyond), full, 0.001)
+    assert_near(commanded(rig, 22, STILL), [0.0] * 4, 0.001)
+
+
+def test_a_speed_counts_until_it_is_as_old_as_the_watchdog() -> None:
+    rig = Rig("c620", {"kp_n_m_s_rad": 0.5, "ki_n_m_rad": 0.0})
+    commanded(rig, 1, STILL)
+    age_ns = round(rig.facts.watchdog_s * 1e9)
+    for now_ns, share in ((1_000_000 + age_ns - 1, 0.5), (1_000_000 + age_ns, 0.0)):
+        [frame] = rig.driver.command(SPEEDS, STILL, now_ns)
+        n_m = rig.facts.torque_constant_n_m_a * 20.0 / 16384
+        assert_near([count * n_m for count in struct.unpack(">4h", frame.payload)], [share * v for v in SPEEDS], 0.001)

@@ -112,6 +112,39 @@ def test_the_unreadable_and_unwritable_is_passed_over_and_what_is_no_number_refu
             assert moteus_frames.parse_reply(bytes.fromhex(f"2d{register:02x}{raw}")) is None
 
 
+@pytest.mark.parametrize(
+    ("kind", "bits"), [(moteus_frames.INT8, 8), (moteus_frames.INT16, 16), (moteus_frames.INT32, 32)]
+)
+def test_a_quantity_is_saturated_to_its_type_and_the_lowest_number_means_none(kind: int, bits: int) -> None:
+    """As in the maker's reference: the lowest whole number stands for NaN."""
+    most = 2 ** (bits - 1) - 1
+    raws = [moteus_frames.raw_of(0x01, kind, value) for value in (1e9, -1e9, math.nan, math.inf, 0.0)]
+    assert raws == [most, -most, -most - 1, -most - 1, 0]
+    read = [moteus_frames.physical(0x01, kind, raw) for raw in raws]
+    maker = protocol.parse_reply
+    for raw, value in zip(raws, read, strict=True):
+        told = maker(bytes((0x21 | kind << 2, 0x01)) + multiplex.TYPES[kind].pack(raw))
+        assert value == pytest.approx(told[0x01], nan_ok=True)
+        assert moteus_frames.pack(kind, raw) == multiplex.TYPES[kind].pack(raw)
+    assert math.isnan(read[2])
+    assert moteus_frames.physical(0x00, kind, -most - 1) == -most - 1, "a mode is a plain number"
+
+
+def test_a_float_is_saturated_to_single_precision_and_what_is_not_finite_stays() -> None:
+    largest = struct.unpack("<f", bytes.fromhex("ffff7f7f"))[0]
+    values = (1e300, -1e300, 1.5, math.inf, -math.inf)
+    raws = [moteus_frames.raw_of(0x01, moteus_frames.FLOAT, value) for value in values]
+    assert raws == [largest, -largest, 1.5, math.inf, -math.inf]
+    assert math.isnan(moteus_frames.raw_of(0x01, moteus_frames.FLOAT, math.nan))
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_numbers_of_7_bits_a_byte_are_written_as_the_maker_does(value: int) -> None:
+    buffer = io.BytesIO()
+    multiplex.WriteFrame(buffer).write_varuint(value)
+    assert moteus_frames.varuint(value) == buffer.getvalue()
+
+
 @given(st.binary(max_size=64))
 def test_no_payload_is_too_strange(payload: bytes) -> None:
     STRANGE.driver.feed(Frame(0x100, payload), 0)

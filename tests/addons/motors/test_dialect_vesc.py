@@ -80,6 +80,34 @@ def test_the_position_goes_evenly_from_step_to_step_of_the_tachometer(erpm: int,
     assert channel.turned == math.floor(steps) - math.floor(start)
 
 
+def test_speeds_move_the_position_to_a_step_of_the_tachometer_and_no_further() -> None:
+    channel = Channel()
+    channel.feed_status(27, struct.pack(">ihh", 500, 0, 0), 0)
+    for stamp_ms, erpm, position in (
+        (0, 30, 0.0),
+        (100, 60, 0.45),
+        (400, -40, 0.75),
+        (899, -40, -1.246),
+        (1399, 0, -1.246),
+    ):
+        channel.feed_status(9, struct.pack(">ihh", erpm, 0, 0), stamp_ms * 1_000_000)  # six steps are a turn
+        assert channel.position == pytest.approx(position)
+    for stamp_ms, erpm, position in ((1400, -900, -1.0), (1450, 900, 1.0)):
+        channel.feed_status(9, struct.pack(">ihh", erpm, 0, 0), stamp_ms * 1_000_000)
+        channel.feed_status(9, struct.pack(">ihh", erpm, 0, 0), (stamp_ms + 40) * 1_000_000)
+        channel.feed_status(27, struct.pack(">ihh", 500, 0, 0), stamp_ms * 1_000_000)
+        assert channel.position == position, "the tachometer is right to within a step"
+
+
+def test_a_frame_of_nobody_here_is_told_as_foreign_and_an_answer_to_the_host_is_not() -> None:
+    driver = rig_of("can").driver
+    status = bytes(8)
+    told = [driver.feed(Frame(number, status), 0) for number in (0x01, 0xFD, EXTENDED | 0x0905, EXTENDED | 0x0901)]
+    assert told == ["", None, "", None]
+    assert driver.feed(Frame(EXTENDED | 0x0901, bytes(7)), 0) == "7 bytes, expected 8"
+    assert driver.feed(Frame(EXTENDED | 0x7701, status), 0) == ""
+
+
 @pytest.mark.parametrize("settings", [{}, ODD])
 @pytest.mark.parametrize("wire", WIRES)
 def test_wheels_reach_their_speeds_and_the_position_follows(wire: Wire, settings: Mapping[str, Any]) -> None:

@@ -104,6 +104,31 @@ def test_a_served_robot_takes_answers_by_their_numbers_and_refuses_what_it_canno
     assert outcomes["late"] == "the node is ending"
 
 
+def test_a_call_that_hangs_does_not_keep_the_process_of_the_node_alive() -> None:
+    hangs, may_end = threading.Event(), threading.Event()
+
+    class Hanging(Service):
+        def order(self, action: Action, arguments: Mapping[str, Any] | None = None) -> int:
+            hangs.set()
+            may_end.wait(10.0)
+            return super().order(action, arguments)
+
+        def receive(self, timeout_s: float) -> None:
+            may_end.wait(10.0)
+
+    before = set(threading.enumerate())
+    robot = ServedRobot(Hanging(), 50.0, None)  # type: ignore[arg-type]
+    answered = threading.Event()
+    robot.order(Action.ESTOP, {}, lambda _: answered.set())
+    assert hangs.wait(10.0)
+    robot.start(lambda _: None)
+    begun = set(threading.enumerate()) - before
+    assert sorted((thread.name, thread.daemon) for thread in begun) == [("e-stop", True), ("service", True)]
+    may_end.set()
+    assert answered.wait(10.0)
+    robot.close()
+
+
 SIMULATED = load("circle_speed", set={"loop.mode": "lockstep", "loop.rate_hz": 100})
 QUICK = Settings(real_time_factor=1000.0, publish_rate_hz=25.0)
 

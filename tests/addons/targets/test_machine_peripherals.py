@@ -357,11 +357,18 @@ def test_the_most_urgent_interrupt_is_due_and_of_equals_the_first(rows: list[tup
     assert taken == [irq for irq, _ in sorted(rows, key=lambda row: (row[1], row[0]))]
 
 
-def test_a_line_that_stays_high_is_pending_again_after_its_handler():
+@pytest.mark.parametrize("irq", [0, 37, 81])
+def test_a_line_that_stays_high_is_pending_again_after_its_handler(irq: int):
     controller = nvic.Nvic()
-    controller.write(0x104, 1 << 5)
-    controller.line(37, True)
+    controller.write(0x100 + 4 * (irq // 32), 1 << irq % 32)
+    controller.line(irq, True)
     controller.enter(controller.due() or 0)
     assert controller.due() is None
+    assert controller.read(0x200 + 4 * (irq // 32)) == 0
+    assert controller.read(0x300 + 4 * (irq // 32)) == 1 << irq % 32
     controller.leave()
-    assert controller.due() == nvic.FIRST_IRQ + 37
+    assert controller.due() == 16 + irq
+    controller.enter(16 + irq)
+    controller.line(irq, False)
+    controller.leave()
+    assert controller.due() is None

@@ -297,6 +297,12 @@ def test_the_core_s_own_exceptions_are_pended_and_have_priorities():
     controller = nvic.Nvic()
     controller.write(0xD20, 0xA0_B0_00_00, 4)
     assert controller.read(0xD20) == 0xA0_B0_00_00
+    controller.write(0xD18, 0x1F, 1)
+    controller.write(0xD23, 0xAF, 1)  # as CMSIS writes the priority of SysTick
+    assert [controller.read(offset) for offset in (0xD18, 0xD1C, 0xD20)] == [0x10, 0, 0xA0_B0_00_00]
+    controller.write(0x400, 0x3F, 1)
+    controller.write(0x45F, 0x5F, 1)
+    assert [controller.read(offset) for offset in (0x400, 0x45C)] == [0x30, 0x50_00_00_00]
     controller.write(0xD04, 1 << 28 | 1 << 26)
     assert controller.pending == {14, 15}
     assert controller.due() == 15, "SysTick is the more urgent here"
