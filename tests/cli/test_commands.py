@@ -7,9 +7,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from hil.cli.commands import shipped, shipped_command
+from hil.cli.commands import CORE, shipped, shipped_command
 from hil.cli.main import app
 from hil.core.errors import BadInputError
+from tests.support.addon_commands import flags_that_are_on
 from tests.support.outside import outside_package
 from tests.support.processes import hil
 
@@ -52,6 +53,10 @@ def test_a_row_has_the_first_paragraph_of_its_commands_help(name: str, row: str)
     command = shipped_command(name)
     text = command.info.help if isinstance(command, typer.Typer) else command.__doc__
     assert " ".join(text.partition("\n\n")[0].split()) == row
+
+
+def test_no_flag_of_the_cores_commands_is_on_by_itself() -> None:
+    assert flags_that_are_on(CORE) == []
 
 
 def test_commands_of_another_package_run(outside: Path) -> None:

@@ -65,6 +65,12 @@ def test_a_table_is_as_wide_as_the_terminal_and_whole_in_a_file(monkeypatch: pyt
         f"abcd        {'x' * 20}",
     ]
     assert list(output.table(rows[:1])) == ["name  unit  what"]
+    exact = [("ab", "m", "x" * 10 + " " + "y" * 22), ("abc", "", "z")]  # 3, 1 and 33 with two gaps: 41
+    assert len(list(output.table(exact, has_head=False))) == 3
+    wide = [("ab", "m", " ".join(["xx"] * 20)), exact[1]]
+    assert next(output.table(wide, has_head=False)) == f"ab   m  {' '.join(['xx'] * 11)}", "all 40 columns"
+    exact[0] = ("ab", "m", "x" * 10 + " " + "y" * 21)
+    assert list(output.table(exact, has_head=False)) == [f"ab   m  {'x' * 10} {'y' * 21}", "abc     z"]
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     assert list(output.table(rows))[1] == "ab    m     one two three four five six seven"
 
@@ -98,6 +104,11 @@ def test_a_line_is_folded_below_its_text_and_a_command_stays_whole(monkeypatch: 
         assert output.folded(f"{'  label':{column}}a text that is longer")[1] == " " * indent + "longer"
     output.print_result(True, {"a": float("nan")}, [])
     assert terminal.getvalue().splitlines()[-1] == '{"a": null}'
+
+
+def test_a_warning_is_told_as_one_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    output.warn("the floor is wet")
+    assert capsys.readouterr() == ("", "hil: warning: the floor is wet\n")
 
 
 @pytest.mark.parametrize(

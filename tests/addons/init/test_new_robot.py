@@ -2,10 +2,13 @@
 
 import math
 import tomllib
+from itertools import pairwise, takewhile
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from hil.addons.init import new_robot
 from hil.addons.init.new_robot import PROJECT_QUESTIONS, QUESTIONS, found_text, robot_text, scenario_text
 from hil.robot.driver import Found
 
@@ -78,6 +81,27 @@ def test_a_first_circle_takes_three_tenths_of_speed_and_torque_and_5_s_at_least(
     assert (scenario["loop"]["duration_s"], scenario["expect"][0]["from_s"]) == (written_s, written_s / 2.0)
     assert (scenario["reference"]["radius_m"], scenario["plant"]["start"]["start_x_m"]) == (1.0, 0.9)
     assert scenario["expect"][0]["below"] == 0.05
+
+
+def test_a_first_circle_says_what_it_goes_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    def first_line(driver: str, sensors: tuple[str, ...] = ()) -> str:
+        can = SimpleNamespace(sensors=sensors)
+        monkeypatch.setattr(new_robot, "make_driver", lambda _: SimpleNamespace(capabilities=can))
+        return scenario_text(answers(driver=driver), 1.0).splitlines()[0]
+
+    both = "# A first circle: from 0.1 m beside it, by the wheels and the gyro alone, as a real robot begins"
+    assert first_line("stm32") == first_line("odrive", ("gyro",)) == both, "our own board has a gyro"
+    assert first_line("odrive", ("current",)) == both.replace(" and the gyro", "")
+
+
+def test_what_a_driver_says_of_its_settings_is_in_comments_of_118_columns() -> None:
+    rows = robot_text(answers(driver="odrive")).splitlines()
+    begin = rows.index("[device.motors]")
+    notes = list(reversed(list(takewhile(lambda row: row.startswith("# "), reversed(rows[:begin])))))
+    assert len(notes) > 1
+    assert max(map(len, notes)) <= 118
+    for row, after in pairwise(notes):
+        assert len(f"{row} {after.split()[1]}") > 118, "a line is as full as it can be"
 
 
 def test_a_fast_robots_circle_takes_5_s() -> None:
