@@ -3,19 +3,23 @@
 import json
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hil.addons.identify import drives, identify_command
 from hil.addons.identify.drive_checks import Unknown
 from hil.addons.identify.drives import Drive
 from hil.addons.identify.estimates import Estimate, estimates
+from hil.addons.identify.excitation import Step
 from hil.addons.identify.fit import Fitted, Prediction, Result
 from hil.addons.identify.gauss_newton import Solution
 from hil.addons.identify.identify_command import _figures, _lines
 from hil.addons.identify.written_files import check_files, write_figures, write_files
+from hil.cli.main import app
 from hil.core.errors import BadInputError
 from tests.addons.identify.test_before import BLOCKS, KINEMATICS, before
 from tests.support.formula_drives import ROBOT, formula_drive
@@ -240,3 +244,106 @@ def test_the_lines_tell_values_errors_and_what_was_written() -> None:
         f"  {open_ones[0].sentence}",
         "squeeze.rrd: the wheels slid",
     ]
+
+
+# The commands
+
+
+@pytest.mark.parametrize(("before_rms_m", "code"), [(0.0456, 0), (0.00123, 1)])
+def test_a_fit_is_written_and_told_where_it_predicts_better(
+    before_rms_m: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("floor", "judge", "blocks", "squeeze"):
+        recorded(tmp_path, name)
+    given: list[tuple[Any, ...]] = []
+
+    def made(floor: Drive, held_out: Drive, **others: Drive | None) -> Result:
+        given.append((floor, held_out, others))
+        return result(before=Prediction(before_rms_m, "truth"))
+
+    monkeypatch.setattr("hil.addons.identify.fit.fit", made)
+    monkeypatch.setattr(drives, "read_drive", lambda path: recorded(tmp_path, path.stem))
+    out = tmp_path / "out"
+    words = [
+        "identify",
+        "fit",
+        str(tmp_path / "floor.rrd"),
+        "--held-out",
+        str(tmp_path / "judge.rrd"),
+        "--out",
+        str(out),
+    ]
+    done = CliRunner().invoke(app, words)
+    assert (done.exit_code, sorted(path.name for path in out.glob("*"))) == (
+        code, ["fit.json", "plant.toml", "robot.toml"] if code == 0 else []
+    )  # fmt: skip
+    last = f"Taken: slip. Wrote {out}: robot.toml for --robot, plant.toml to extend"
+    nothing = "The fit predicts no better than what was believed; nothing was written"
+    assert "".join(done.stdout.split()).endswith("".join((last if code == 0 else nothing).split()))
+    floor, held_out, others = given.pop()
+    assert (floor.path.name, held_out.path.name) == ("floor.rrd", "judge.rrd")
+    assert others == {"blocks": None, "squeeze": None}
+    more = [
+        "--blocks",
+        str(tmp_path / "blocks.rrd"),
+        "--squeeze",
+        str(tmp_path / "squeeze.rrd"),
+        "--mass-kg=18",
+        "--json",
+    ]
+    done = CliRunner().invoke(app, [*words, *more, "--force"])
+    assert done.exit_code == code
+    found = json.loads(done.stdout)
+    assert (found["schema"], found["passed"]) == ("hil.identify/1", code == 0)
+    assert found["estimates"][0]["value"] == 18.0
+    assert found.get("files") == ([str(out / "robot.toml"), str(out / "plant.toml")] if code == 0 else None)
+    *_, others = given.pop()
+    assert {name: one.path.name for name, one in others.items()} == {"blocks": "blocks.rrd", "squeeze": "squeeze.rrd"}
+    if code == 0:
+        assert json.loads((out / "fit.json").read_text(encoding="utf-8")) == found
+        text = (out / "robot.toml").read_text(encoding="utf-8")
+        places = [text.index(f"From {name}.rrd") for name in ("floor", "blocks", "squeeze", "judge")]
+        assert places == sorted(places)
+        assert CliRunner().invoke(app, words).exit_code != 0, "nothing is replaced without --force"
+
+
+def test_drives_are_made_one_after_another_and_what_to_do_next_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, made = tmp_path / "out", list[tuple[str, Path, Any]]()
+    failure: BadInputError | None = None
+
+    def perform(step: Step, recording: Path, options: Any) -> SimpleNamespace:
+        made.append((step.name, recording, options))
+        return SimpleNamespace(failure=failure if step.name == "held_out" else None)
+
+    monkeypatch.setattr("hil.addons.identify.excitation.perform", perform)
+    words = ["identify", "drive", "paper_circle", "--out", str(out)]
+    waiting = CliRunner().invoke(app, words)
+    assert (waiting.exit_code != 0, made, out.exists()) == (True, [], False), "stdin is no terminal"
+    done = CliRunner().invoke(app, [*words, "--yes"])
+    assert done.exit_code == 0
+    names = ["blocks", "floor", "squeeze", "held_out"]
+    assert [row[:2] for row in made] == [(name, out / f"{name}.rrd") for name in names]
+    assert not made[0][2].allow_motion
+    assert not made[0][2].keep_signals
+    said = done.stdout.splitlines()
+    assert said[:5] == [*(f"  recorded {out / name}.rrd" for name in names), "Next:"]
+    command = " ".join(said[5:]).split()
+    assert command[-10:] == [
+        "fit", f"{out}/floor.rrd", "--blocks", f"{out}/blocks.rrd", "--squeeze", f"{out}/squeeze.rrd",
+        "--held-out", f"{out}/held_out.rrd", "--mass-kg", "KG",
+    ]  # fmt: skip
+    told = CliRunner().invoke(app, [*words, "--yes", "--step=squeeze", "--step=blocks", "--json", "--allow-motion"])
+    assert made[-1][2].allow_motion
+    assert json.loads(told.stdout) == {
+        "schema": "hil.identify.drive/1",
+        "recordings": {name: f"{out}/{name}.rrd" for name in ("squeeze", "blocks")},
+    }
+    made.clear()
+    failure = BadInputError("the robot stopped")
+    assert CliRunner().invoke(app, [*words, "--yes"]).exception is failure
+    (out / "floor.rrd").touch()
+    made.clear()
+    assert CliRunner().invoke(app, [*words, "--yes"]).exit_code != 0
+    assert made == [], "no drive begins where a recording is in the way"

@@ -8,7 +8,7 @@ import pytest
 
 import plant_fmu
 from hil.addons.identify.drive_checks import outlook
-from hil.addons.identify.gauss_newton import Knowledge, information_of, inverted, solve
+from hil.addons.identify.gauss_newton import Knowledge, _covariance, information_of, inverted, solve
 from hil.addons.identify.robust_statistics import HUBER
 from hil.addons.identify.windows import Parameter
 from hil.core.errors import BadInputError
@@ -147,6 +147,26 @@ def test_a_parameter_that_is_held_gives_the_others_its_doubt() -> None:
     assert found.parameters[1] == one.true[1]
     assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.3, rel=0.05)
     assert found.covariance[0, 1] == pytest.approx(-(0.3**2), rel=0.05)
+
+
+@pytest.mark.parametrize("held", [(), (0,), (1, 2)])
+def test_a_covariance_is_the_sandwich_of_what_is_fitted_and_the_doubt_of_what_is_held(held: tuple[int, ...]) -> None:
+    """By plain inverses."""
+    random = np.random.default_rng(7)
+    root, other, before, doubt = (random.normal(size=(PARAMETERS, PARAMETERS)) for _ in range(4))
+    information, scatter = root @ root.T + np.eye(PARAMETERS), other @ other.T
+    known = Knowledge(before @ before.T, np.zeros(PARAMETERS), np.isin(np.arange(PARAMETERS), held), doubt @ doubt.T)
+    free = [place for place in range(PARAMETERS) if place not in held]
+    whole, inner = information + known.information, np.ix_(free, free)
+    inverse = np.linalg.inv(whole[inner])
+    expected = np.zeros((PARAMETERS, PARAMETERS))
+    expected[inner] = inverse @ (scatter + known.information)[inner] @ inverse
+    carried = np.eye(PARAMETERS)
+    carried[np.ix_(free, free)] = 0.0
+    carried[np.ix_(free, list(held))] = -inverse @ whole[np.ix_(free, list(held))]
+    held_doubt = np.where(np.outer(known.held, known.held), known.held_covariance, 0.0)
+    found = _covariance(information, scatter, known._replace(held_covariance=held_doubt))
+    assert found == pytest.approx(expected + carried @ held_doubt @ carried.T, rel=1e-9)
 
 
 def test_what_cannot_be_told_is_said_with_the_measurement_that_settles_it() -> None:
