@@ -5,12 +5,15 @@ import json
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from firmware_protocol.generated.messages import State as RobotState
+from hil.addons.service import orders
 from hil.addons.service.messages import MOVING, Action, Answer, Order, Phase, Task
 from hil.addons.service.orders import OrderHandler
 from hil.addons.service.records import Records
@@ -29,9 +32,9 @@ class Beside(Executor):
     def __init__(self) -> None:
         self.waiting: list[tuple[Future[Any], Callable[[], Any]]] = []
 
-    def submit(self, do: Callable[[], Any], /, *_: Any, **__: Any) -> Future[Any]:
+    def submit(self, do: Callable[..., Any], /, *given: Any, **__: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        self.waiting.append((future, do))
+        self.waiting.append((future, partial(do, *given)))
         return future
 
     def work(self) -> None:
@@ -339,3 +342,39 @@ def test_a_law_that_fails_keeps_neither_the_robot_away_nor_an_emergency_stop_fro
         assert served.phases[-2:] == [Phase.ACTIVE, Phase.ESTOP]
         assert not served.pilot.emergency.pending
         assert served.last("robot.state") == RobotState.ESTOP
+
+
+def test_a_path_is_not_read_for_a_robot_that_is_not_armed() -> None:
+    with Served() as served:
+        served.run_until(Phase.DISARMED)
+        number = served.order(Action.TRACK, **TRACK)
+        assert served.answers[number].refused
+        assert served.beside.waiting == []
+
+
+@pytest.mark.parametrize("policy", ["stop_robot", "stop_recording"])
+def test_a_recording_that_cannot_be_written_stops_the_robot_or_itself(
+    policy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[object] = []
+    monkeypatch.setattr(orders, "finished", told.append)
+    recording = object()
+    with Served() as served:
+        served.handler._policy = policy  # type: ignore[assignment]
+        why: list[str | None] = [None]
+        records = SimpleNamespace(watch=lambda _: why[0], end=lambda: recording if told == [] else None)
+        served.handler.records = records  # type: ignore[assignment]
+        served.armed()
+        served.handler.watch_recording()
+        served.beside.work()
+        assert (served.pilot.phase, told) == (Phase.ACTIVE, [])
+        why[0] = "the disk is full"
+        served.handler.watch_recording()
+        served.beside.work()
+        served.handler.watch_recording()  # it has ended, or the robot stops already
+        served.beside.work()
+        assert told == ([recording] if policy == "stop_recording" else [])
+        served.run(1.0)
+        assert served.pilot.phase is (Phase.ACTIVE if policy == "stop_recording" else Phase.DISARMED)
+        if policy == "stop_robot":
+            assert str(served.pilot.why).endswith("its recording cannot be written: the disk is full")
