@@ -12,9 +12,13 @@ import typer
 from typer.main import get_group
 
 import hil
+import hil.__main__
 from hil.cli.commands import by_task, shipped
 from hil.cli.main import app
 from hil.cli.output import folded, table
+from hil.judge.recorded import load
+from hil.judge.result import RunResult
+from hil.runtime import assembly
 from tests.support.processes import environment
 from tests.support.processes import hil as call
 
@@ -158,6 +162,19 @@ def test_a_long_line_hangs_below_its_text_and_a_command_stays_whole(monkeypatch:
 def test_the_module_is_the_command_and_says_its_version() -> None:
     done = subprocess.run([sys.executable, "-m", "hil", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"hil {hil.__version__}\n"
+
+
+def test_the_package_has_what_a_program_needs_and_imports_it_when_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert (hil.run, hil.RunResult, hil.load) == (assembly.run, RunResult, load)
+    assert set(hil.__all__) <= {*dir(hil), "run", "RunResult", "load"}
+    with pytest.raises(AttributeError, match=r"^module 'hil' has no attribute 'laod'$"):
+        hil.laod  # noqa: B018
+    called: list[str] = []
+    monkeypatch.setattr("hil.cli.main.main", lambda: called.append("main"))
+    hil.__main__.main()
+    assert called == ["main"]
 
 
 def test_a_shell_completes_commands_and_options() -> None:

@@ -160,6 +160,10 @@ def test_a_way_shorter_than_a_millimetre_is_a_turn_alone_and_a_shorter_turn_is_n
     turn = way_to(start, Pose(1.0006, -2.0007, 0.5011), OPTIONS)
     assert turn is not None
     assert turn.at(turn.span_s).pose == pytest.approx((1.0, -2.0, 0.5011), abs=1e-9)
+    for end in (Pose(0.001, 0.0, 0.0), Pose(0.0, 0.0, 0.001)):  # neither is less than what is too short
+        whole = way_to(Pose(0.0, 0.0, 0.0), end, OPTIONS)
+        assert whole is not None
+        assert whole.at(whole.span_s).pose == pytest.approx(end, abs=1e-9)
     way = way_to(start, Pose(1.0007, -2.0008, 0.5), OPTIONS)
     assert way is not None
     assert way.at(way.span_s).pose == pytest.approx((1.0007, -2.0008, 0.5), abs=1e-9)

@@ -378,3 +378,25 @@ def test_a_recording_that_cannot_be_written_stops_the_robot_or_itself(
         assert served.pilot.phase is (Phase.ACTIVE if policy == "stop_recording" else Phase.DISARMED)
         if policy == "stop_robot":
             assert str(served.pilot.why).endswith("its recording cannot be written: the disk is full")
+
+
+def test_a_robot_is_not_armed_while_its_recording_cannot_be_written() -> None:
+    """Unless the recording, and not the robot, is what then stops."""
+    for policy, trouble, path, may in (
+        ("stop_robot", "the disk is full", "a.rrd", False),
+        ("stop_robot", None, "a.rrd", True),
+        ("stop_robot", "the disk is full", None, True),
+        ("stop_recording", "the disk is full", "a.rrd", True),
+    ):
+        with Served() as served:
+            served.run_until(Phase.DISARMED)
+            served.handler._policy = policy  # type: ignore[assignment]
+            records = SimpleNamespace(path=path, trouble=trouble)
+            served.handler.records = records  # type: ignore[assignment]
+            number = served.order(Action.ARM)
+            assert (served.answers[number].refused is None) is may
+            if not may:
+                assert served.refusal(number) == (
+                    "the recording cannot be written (the disk is full), and service.when_full is stop_robot; make "
+                    "room, or end the recording"
+                )

@@ -228,6 +228,21 @@ def test_a_full_file_is_numbered_and_one_that_was_moved_is_begun_anew(tmp_path: 
     assert len(list(tmp_path.glob("audit.jsonl*"))) == 4
 
 
+def test_nine_older_files_are_kept_where_nothing_else_is_said(tmp_path: Path) -> None:
+    audit = Audit(tmp_path / "audit.jsonl", longest_bytes=1)
+    for number in range(15):
+        audit.note(PANEL, Action.ARM, "given", number=number)
+    audit.close()
+    assert {path.name for path in tmp_path.iterdir()} == {"audit.jsonl", *(f"audit.jsonl.{n}" for n in range(1, 10))}
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_role_may_give_its_own_orders_whoever_may_read_an_emergency_stop_and_an_administrator_all(role: Role) -> None:
+    may = {action for action in Action if Client("one", frozenset({role})).may(action)}
+    own = {action for action in Action if NEEDED[action] is role}
+    assert may == (set(Action) if role is Role.ADMINISTER else {Action.ESTOP} | own)
+
+
 def test_long_arguments_are_cut_and_the_line_says_by_how_much(tmp_path: Path) -> None:
     audit = Audit(tmp_path / "audit.jsonl")
     long = {"reference": {"kind": "circle", "file": "é" * 5000}}

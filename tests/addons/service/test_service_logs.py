@@ -187,3 +187,28 @@ def test_a_reader_that_has_gone_is_no_error() -> None:
         root.handlers[:], level = before
         root.setLevel(level)
         os.close(writer)
+
+
+def test_a_line_that_nobody_read_is_counted_with_those_that_it_stood_for(
+    pipe: tuple[int, Read], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(logs.time, "monotonic", lambda: now_s)
+    read = configured("json", pipe)
+    for number in range(25):  # 20 are written and 5 left out
+        logs.warning("frame rejected", number=number)
+    read()
+    now_s += 0.5
+
+    def full(*_: object) -> int:
+        raise BlockingIOError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(logs.os, "write", full)
+        logs.warning("frame rejected")  # would say that 5 were left out
+        logs.warning("link lost")
+    logs.warning("link lost")
+    line = json.loads(read())
+    assert (line["event"], line["lines_dropped"]) == ("link lost", 1 + 5 + 1)
+    logs.warning("link lost")
+    assert "lines_dropped" not in json.loads(read())

@@ -3,14 +3,18 @@
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from hil.addons.service import control_process
+from hil.addons.service.control_process import _Ending
 from hil.addons.service.systemd import Notifier, unit
 from hil.core.errors import BadInputError
 
@@ -144,3 +148,19 @@ def test_the_unit_of_a_service_that_refuses_code_refuses_it_too(monkeypatch: pyt
 def test_a_line_break_in_a_unit_is_refused() -> None:
     with pytest.raises(BadInputError, match="a unit cannot hold a line break"):
         unit("a\nExecStartPre=b.toml")
+
+
+def test_the_first_signal_ends_a_service_gently_and_a_second_one_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window that is closed sends its signal twice."""
+    handled: dict[int, Any] = {}
+    monkeypatch.setattr("signal.signal", handled.__setitem__)
+    hung_up: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(control_process, "on_signals", lambda *given: hung_up.append(given))
+    ending = _Ending()
+    assert handled == {signal.SIGTERM: ending, signal.SIGINT: ending}
+    assert hung_up == [(ending, "SIGHUP")]
+    counts = []
+    for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        ending(number, None)
+        counts.append(ending.requests)
+    assert counts == [1, 1, 2, 2, 3]

@@ -1,6 +1,7 @@
 """Properties of teleop's keys and of its sticks."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 from hil.addons.service.messages import Action
 from hil.addons.service.teleop.gamepad import Direction, Pad
 from hil.addons.service.teleop.operator import FIRST_S, FIRST_SHARE, KEYS, REPEAT_S, Operator, Speeds, Wish, of_sticks
-from hil.addons.service.teleop.terminal import keys_of
+from hil.addons.service.teleop.terminal import Terminal, keys_of
+from hil.core.errors import BadInputError
 
 SPEEDS = Speeds(0.5, 2.0)
 KEY = st.sampled_from(sorted(KEYS))
@@ -213,3 +215,12 @@ def test_which_key_wishes_what() -> None:
     stops = dict.fromkeys(("k", "K", "space", "escape"), Action.STOP)
     quits = dict.fromkeys(("q", "ctrl-d"), "quit")
     assert wishes == stops | quits | {"d": Action.DISARM, "c": Action.CLEAR, "e": Action.ESTOP, "x": None}
+
+
+@pytest.mark.parametrize("of_pipe", ["stdin", "stdout"])
+def test_a_pipe_for_keys_or_screen_is_refused(of_pipe: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = SimpleNamespace(isatty=lambda name=name: name != of_pipe, fileno=lambda number=number: number)
+        monkeypatch.setattr(f"sys.{name}", stream)
+    with pytest.raises(BadInputError, match="teleop needs a terminal for keys and screen; start it in one"):
+        Terminal()
