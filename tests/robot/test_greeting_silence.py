@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import pytest
 
+from firmware_protocol import codec
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
@@ -12,6 +13,7 @@ from hil.core.ports import Received
 from hil.robot import handshake
 from hil.robot.handshake import Expected, Greeting, RobotInfo
 from hil.robot.robot_report import NO_FAULT, ProcessorFault
+from tests.support.wheel_rig import WheelRig
 
 
 class Silent:
@@ -66,6 +68,46 @@ def test_what_came_instead_tells_why_a_robot_is_silent(
         handshake.greet(link, Greeting())  # type: ignore[arg-type]
     assert str(failed.value).startswith(f"the robot did not answer HELLO within 2 s (a line); {words}")
     assert len(link.sent) == 1
+
+
+class Robot:
+    """A link to a firmware that says its HELLO pages and, only after ``status_ms`` on a clock of its own, a STATUS."""
+
+    def __init__(self, status_ms: float) -> None:
+        self.rig = WheelRig()
+        self.now_ns = 0
+        self.hellos_ms: list[float] = []
+        self._status_ms = status_ms
+
+    def send(self, frame: Frame) -> None:
+        self.hellos_ms.append(self.now_ns / 1e6)
+        self.rig.node.receive(frame)
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        frames = [frame for frame in self.rig.frames() if frame.id != m.Status.ID]
+        if not frames:
+            status_ns, until_ns = round(self._status_ms * 1e6), self.now_ns + timeout_ns
+            if self.now_ns < status_ns <= until_ns:
+                until_ns = status_ns
+                frames = [codec.encode(m.Status(*[0] * len(m.Status._fields))._replace(reset_cause=2))]
+            self.now_ns = until_ns
+        return Received(frames, self.now_ns)
+
+    def rejected(self) -> Mapping[str, int]:
+        return {}
+
+
+@pytest.mark.parametrize(("status_ms", "is_asked", "told_ms", "cause"), [
+    (50.0, True, 50.0, 2), (1e6, True, 200.0, None), (50.0, False, 0.0, None),
+])  # fmt: skip
+def test_a_status_is_waited_for_0_2_s_where_it_is_asked_for(
+    status_ms: float, is_asked: bool, told_ms: float, cause: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = Robot(status_ms)
+    monkeypatch.setattr("hil.robot.handshake.time.monotonic_ns", lambda: robot.now_ns)
+    info = handshake.greet(robot, Greeting(), status=is_asked)  # type: ignore[arg-type]
+    assert (robot.now_ns / 1e6, info.reset_cause) == (told_ms, cause)
+    assert robot.hellos_ms == [0.0]
 
 
 GEOMETRY = m.HelloGeometry(*([0] * len(m.HelloGeometry._fields)))._replace(

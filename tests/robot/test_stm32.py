@@ -86,6 +86,21 @@ def test_connects_arms_and_stops():
     assert device.report.stop_reason() == "HOST_REQUEST"
 
 
+def test_a_stop_is_waited_for_up_to_its_limit_and_no_period_longer():
+    stopped_ns = []
+    for limit_ns in (2_000_000_000, None, None):
+        rig = WheelRig(lockstep=True)
+        device, clock = driver(rig)
+        device.connect()
+        device.start(clock, PERIOD_NS)
+        begin_ns = clock.now_ns()
+        if limit_ns is None:
+            limit_ns = stopped_ns[0] - PERIOD_NS * (len(stopped_ns) - 1)
+        assert device.stop(PERIOD_NS, limit_ns) is (len(stopped_ns) < 2)
+        stopped_ns.append(clock.now_ns() - begin_ns)
+    assert stopped_ns == [stopped_ns[0], stopped_ns[0], stopped_ns[0] - PERIOD_NS]
+
+
 @pytest.mark.proves("R-HELLO-8")
 def test_a_power_stage_needs_a_yes():
     refused, _ = driver(WheelRig(power_stage=True), lockstep=False)

@@ -159,6 +159,16 @@ def test_values_that_cannot_work_together(text: str, sentence: str) -> None:
     assert sentence in message_of(BASE + text)
 
 
+def test_a_row_that_compares_signals_of_two_units_is_named_with_its_line() -> None:
+    rows = [("pose.x_m", "reference.x_m"), ("pose.x_m", "pose.heading_rad"), ("guard.held", "pose.y_m")]
+    text = "".join(f"[[expect]]\nsignal = '{one}'\nof = '{other}'\nbelow = 1.0\n" for one, other in rows)
+    sentence = "expected a signal in the unit of {}, to compare them"
+    assert message_of(BASE + text).splitlines() == [
+        f'scenario my.toml:8: expect.2.of = "pose.heading_rad"; {sentence.format("pose.x_m (m)")}',
+        f'scenario my.toml:12: expect.3.of = "pose.y_m"; {sentence.format("guard.held (without a unit)")}',
+    ]
+
+
 def test_what_is_missing_is_named() -> None:
     lines = message_of("[robot]\nmass_kg = 3").splitlines()
     assert "scenario my.toml: robot.wheel_inertia_kg_m2 is missing; expected a number from 0 to 100" in lines

@@ -386,12 +386,15 @@ def refused_robot(robot: RobotFacts, name: str = "wheel_drives", changes: Mappin
     return str(refused.value)
 
 
-def test_a_robot_faster_than_a_signal_is_refused() -> None:
+def test_a_robot_faster_than_a_signal_is_refused(tmp_path: Path) -> None:
     assert refused_robot(ROBOT._replace(speed_limit_rad_s=64.0)) == (
         "device.motors.command: DRIVE_FL.TargetSpeed goes from -62.83 to 62.83 rad/s of the wheel, and "
         "robot.speed_limit_rad_s asks for 64 both ways; lower that, or correct unit, scale or gear_ratio"
     )
     assert "BASE_COMMAND.Forward goes from -3 to 3 m/s" in refused_robot(ROBOT, "twist_base")
+    for limits, words in (("[0|12000]", "from 0 to 62.83"), ("[-12000|0]", "from -62.83 to 0")):
+        file = edited_dbc(tmp_path, "wheel_drives", ("[-12000|12000]", limits))
+        assert f"{words} rad/s of the wheel, and robot" in refused_robot(ROBOT, changes={"file": file})
     assert "firmware.torque_limit_n_m asks for 401 both ways" in refused_robot(ROBOT._replace(torque_limit_n_m=401.0))
 
 

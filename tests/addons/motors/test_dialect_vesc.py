@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from hil.addons.motors.vesc.vesc_channel import Channel
-from hil.addons.motors.vesc.vesc_frames import SerialFraming
+from hil.addons.motors.vesc.vesc_frames import SerialFraming, repeated_past_packet
 from hil.core.errors import BadInputError
 from hil.core.options import build
 from hil.core.types import CommandMode
@@ -97,6 +97,26 @@ def test_speeds_move_the_position_to_a_step_of_the_tachometer_and_no_further() -
         channel.feed_status(9, struct.pack(">ihh", erpm, 0, 0), (stamp_ms + 40) * 1_000_000)
         channel.feed_status(27, struct.pack(">ihh", 500, 0, 0), stamp_ms * 1_000_000)
         assert channel.position == position, "the tachometer is right to within a step"
+
+
+def test_the_longest_message_is_read_in_pieces_and_a_longer_one_is_not_sent() -> None:
+    """512 bytes, and 6 around them: begin, two of length, two of checksum, end."""
+    framing, longest = SerialFraming(), Frame(17, bytes(range(256)) + bytes(255))
+    data = framing.encode(longest)
+    assert len(data) == 518
+    assert [frame for at in range(0, 518, 100) for frame in framing.feed(data[at : at + 100])] == [longest]
+    with pytest.raises(ValueError, match="message 17 of 513 bytes: expected at most 512"):
+        framing.encode(Frame(17, bytes(512)))
+
+
+@pytest.mark.parametrize("payloads", [(8,), (4, 5, 4, 5), (9, 22)])
+def test_a_last_stop_is_repeated_until_it_is_longer_than_any_packet(payloads: tuple[int, ...]) -> None:
+    framing, commands = SerialFraming(), [Frame(7, bytes(length)) for length in payloads]
+    size = sum(len(framing.encode(frame)) for frame in commands)
+    repeated = list(repeated_past_packet(commands))
+    times = len(repeated) // len(commands)
+    assert repeated == commands * times
+    assert (times - 1) * size <= 518 < times * size
 
 
 def test_a_frame_of_nobody_here_is_told_as_foreign_and_an_answer_to_the_host_is_not() -> None:

@@ -187,6 +187,37 @@ def test_a_simulation_says_each_tick_s_time_and_its_motion_and_status_at_their_r
     assert last["realtime"] == {}
 
 
+def test_a_simulation_waits_at_each_motion_for_the_wheels_that_answer_it() -> None:
+    simulated = Simulated(Settings(real_time_factor=1000.0, publish_rate_hz=25.0, wait_for_wheels_s=30.0))
+    simulation, waits = simulated.simulation, threading.Event()
+    heard: queue.Queue[Mapping[str, Any]] = queue.Queue()
+
+    def hear(message: Mapping[str, Any]) -> None:
+        simulated.hear(message)
+        if "motion" in message:
+            heard.put(message["motion"])
+
+    simulation.start(hear)
+    wait_for(lambda: simulated.phase() == "disarmed")
+    assert simulated.order(Action.ARM) is None, "it waits for nobody before wheels were commanded"
+    wait_for(lambda: simulated.phase() == "active")
+    wheels = {"command": "speed", "values": [1.0, 2.0, 3.0, 4.0]}
+    assert simulated.order(Action.WHEELS, **wheels, sequence=0) is None
+    while heard.get(timeout=20.0)["sequence"] != 0:
+        pass
+    for sequence in range(1, 4):
+        ticks = len(simulated.times_ns)
+        assert not waits.wait(0.01)
+        assert len(simulated.times_ns) == ticks, "no tick passes before the answer"
+        answers = queue.Queue[str | None]()
+        simulation.order(Action.STOP if sequence == 9 else Action.WHEELS, wheels | {"sequence": sequence}, answers.put)
+        assert answers.get(timeout=20.0) is None
+        motion = heard.get(timeout=20.0)
+        assert (motion["sequence"], len(simulated.times_ns)) == (sequence, ticks + 4)
+    simulation.close()
+    assert simulation.failure() is None
+
+
 def test_a_simulation_that_cannot_begin_says_why() -> None:
     simulated = Simulated(QUICK, load("circle_speed", set={"plant.start.mass_kg": -1.0}))
     simulated.simulation.start(simulated.hear)

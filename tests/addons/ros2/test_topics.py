@@ -8,6 +8,7 @@ import pytest
 
 from hil.addons.ros2.settings import Settings
 from hil.addons.service.messages import Action, Motion
+from hil.core.errors import DeviceError
 from hil.scenario import load
 from tests.support.ros2_testbed import needs_ros
 
@@ -314,3 +315,92 @@ def test_a_publisher_of_another_type_is_told_once(clock: Any) -> None:
         "parameter use_stamped_vel",
         "/wheel_commands: std_msgs/msg/Int64 is published, and std_msgs/msg/Float64MultiArray is taken",
     ]
+
+
+def test_a_node_passes_on_what_the_robot_says_and_to_it_what_others_command(clock: Any) -> None:
+    from hil.addons.ros2.node import RobotNode
+
+    node, robot = Node(), Robot()
+    services: list[str] = []
+    heard: list[Any] = []
+    robot.start = heard.append  # type: ignore[attr-defined]
+    standing_in: Any = node
+    standing_in.settings, standing_in._scenario = Settings(enable_odom_tf=False), SCENARIO
+    standing_in.create_service = lambda _kind, name, _call: services.append(name)
+    standing_in._serve, standing_in._hear = print, None
+    standing_in.get_logger = lambda: Values(warning=lambda why, **_: node.said.append(why))
+    RobotNode.use(standing_in, robot)  # type: ignore[arg-type]
+    assert services == ["~/arm", "~/disarm", "~/estop", "~/clear", "~/stop"]
+    assert heard == [None]
+    node.call["cmd_vel"](twist(0.1))
+    assert [action for action, _ in robot.orders] == [Action.TWIST]
+    node.now_ns = 7_000_000_008
+    hear = RobotNode._hear
+    for message, topics in (
+        ({"motion": UNKNOWN | POSES | {"time_unix_s": 7.5}}, {"odom"}),
+        ({"status": STATUS}, {"battery_state", "diagnostics"}),
+        ({"lost": "gone"}, {"diagnostics"}),
+    ):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("rclpy.ok", lambda: True)
+            hear(standing_in, message)
+        sent = published(node)
+        assert set(sent) == topics
+    assert stamp(sent["diagnostics"]) == (7, 8)
+    assert node.said == ["gone"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rclpy.ok", lambda: False)
+        hear(standing_in, {"status": STATUS})
+    assert published(node) == {}, "it is ending"
+
+
+def test_a_served_robot_has_the_node_s_rate_and_fails_with_its_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hil.addons.ros2 import node
+
+    made: list[Any] = []
+    monkeypatch.setattr(node, "_run", lambda scenario, make, ros: made.append((scenario, make, ros)))
+    asked_hz: list[float] = []
+    live = Values(ask_for_motion=asked_hz.append)
+    gone = DeviceError("it ended")
+    node.run_served(SCENARIO, lambda: (Values(failure=lambda: gone), live), ["a"])
+    ((scenario, make, ros),) = made
+    assert (scenario, ros) == (SCENARIO, ["a"])
+    robot = make(Values(settings=Settings(publish_rate_hz=40.0)))
+    assert robot.failure() is gone
+    robot._closing.set()
+    robot._listen(live, lambda _: None)
+    assert asked_hz == [40.0]
+
+
+@pytest.mark.parametrize("ends", ["in order", "by a failure", "by Ctrl-C", "before it has a robot"])
+def test_a_node_closes_its_robot_however_it_ends(ends: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hil.addons.ros2 import node
+
+    done: list[Any] = []
+    oks = iter([True, True, False])
+    failures = iter([None, DeviceError("it ended") if ends == "by a failure" else None])
+
+    def spin_once(*, timeout_sec: float) -> None:
+        done.append("spin")
+        if ends == "by Ctrl-C":
+            raise KeyboardInterrupt
+
+    def make(made: Any) -> Any:
+        if ends == "before it has a robot":
+            raise DeviceError("none is there")
+        return Values(failure=lambda: next(failures), close=lambda: done.append("close"))
+
+    library = Values(
+        init=lambda *, args, **_: done.append(args), ok=lambda: next(oks), try_shutdown=lambda: done.append("shutdown")
+    )
+    monkeypatch.setattr(node, "rclpy", library)
+    monkeypatch.setattr(node, "signal", Values(signal=lambda *_: None, SIGINT=2, default_int_handler=None))
+    monkeypatch.setattr(node, "RobotNode", lambda scenario: Values(use=lambda robot: done.append("use")))
+    monkeypatch.setattr(node, "SingleThreadedExecutor", lambda: Values(add_node=lambda _: None, spin_once=spin_once))
+    if ends in ("by a failure", "before it has a robot"):
+        with pytest.raises(DeviceError, match=r"it ended|none is there"):
+            node._run(SCENARIO, make, ["--ros-args"])
+    else:
+        node._run(SCENARIO, make, ["--ros-args"])
+    within = {"by Ctrl-C": ["use", "spin", "close"], "before it has a robot": []}
+    assert done == [["hil", "--ros-args"], *within.get(ends, ["use", "spin", "spin", "close"]), "shutdown"]

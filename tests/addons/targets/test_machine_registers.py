@@ -334,3 +334,16 @@ def test_a_reset_is_asked_for_with_its_key_and_faults_are_recorded():
     assert (controller.reset_requested, controller.pending, controller.read(0x100), controller.read(0x200)) == (
         False, set(), 0, 0
     )  # fmt: skip
+
+
+def test_of_the_system_control_block_these_registers_keep_what_is_written():
+    """SCR, CCR, SHCSR, the fault registers, CPACR, DEMCR and FPCCR (ARMv7-M manual, B3.2.2)."""
+    controller = nvic.Nvic()
+    kept = (0xD10, 0xD14, 0xD24, 0xD28, 0xD2C, 0xD30, 0xD34, 0xD38, 0xD3C, 0xD88, 0xDFC, 0xF34)
+    for number, offset in enumerate(kept, start=3):
+        assert controller.read(offset) == 0
+        controller.write(offset, number)
+    assert [controller.read(offset) for offset in kept] == list(range(3, 15))
+    for offset in (0xD40, 0xD84, 0xD8C, 0xDF8, 0xF30, 0xF38):
+        with pytest.raises(MachineError, match=f"has no register at offset {offset:#05x}"):
+            controller.read(offset)
