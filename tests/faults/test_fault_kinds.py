@@ -50,6 +50,8 @@ def test_the_words_of_a_kind_are_a_sentence_and_what_is_counted(kind) -> None:
     assert kind.counts.split()[0] in {
         "ESTOP", "attempts", "biases", "foreign", "frames", "milliseconds", "resets", "ticks",
     }  # fmt: skip
+    assert kind.unit == ("-" if kind.value is None else kind.value.unit if kind.value.unit else kind.value.meaning)
+    assert kind.unit != ""
     assert not kind.targets or "`" in kind.target_words or "any signal" in kind.target_words
 
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import State
 from hil.core.types import Pose, PoseFix, Twist
 from hil.robot import virtual_server
-from hil.robot.virtual_server import VirtualServer
+from hil.robot.virtual_server import VirtualServer, WallClockNode
 
 MS = 1_000_000
 START_NS = 5000 * MS
@@ -153,3 +154,24 @@ def test_in_lockstep_time_passes_with_what_the_host_sends_alone(robot: Robot) ->
     server.advance(2)
     received = [("received", 0)] * 3
     assert robot.told == [*received, ("run", 1), "sent", ("run", 1), "sent", ("published", 0)]
+
+
+def test_a_firmware_by_the_wall_clock_reads_it_before_each_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Any] = []
+
+    class Node:
+        def __getattr__(self, name: str) -> Any:
+            return lambda *words: calls.append((name, *words)) or name
+
+    now_ns = iter(range(5_003_000, 10_000_000, 1_000_500))
+    monkeypatch.setattr(virtual_server, "time", SimpleNamespace(monotonic_ns=lambda: next(now_ns)))
+    node = WallClockNode(Node(), 3_000_000)  # type: ignore[arg-type]
+    frame = Frame(0x100, b"")
+    node.feed(b"x")
+    node.receive(frame)
+    assert (node.take_bytes(), node.take_frames()) == ("take_bytes", "take_frames")
+    node.count_unsent(7)
+    used = [("feed", b"x"), ("receive", frame), ("take_bytes",), ("take_frames",)]
+    times_us = (2003, 3003, 4004, 5004)
+    expected = [call for time_us, use in zip(times_us, used, strict=True) for call in (("set_clock", time_us), use)]
+    assert calls == [*expected, ("count_unsent", 7)]

@@ -1,5 +1,6 @@
 """ODrive CANSimple: the driver before its emulated axes, of firmware 0.5 and 0.6, and what is wrong with either."""
 
+import math
 import struct
 from typing import Any
 
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.framing import Frame
 from hil.addons.motors.odrive.emulated_odrive import EmulatedODrive
+from hil.addons.motors.odrive.odrive_tables import Endpoint
 from hil.core.errors import BadInputError
 from hil.core.options import build
 from hil.core.types import CommandMode
@@ -536,3 +538,21 @@ def test_estimates_are_taken_as_they_are_or_not_at_all(position: float, speed: f
         assert sample is not None
         assert sample.position_rad == (position * 2 * 3.141592653589793,) * 4
         assert sample.speed_rad_s == (speed * 2 * 3.141592653589793,) * 4
+
+
+@pytest.mark.parametrize(
+    ("target", "value", "is_plausible"),
+    [
+        (b"\x01", b"\x00", True),
+        (b"\x01", b"\x01", True),
+        (b"\x01", b"\x02", False),
+        *[
+            (struct.pack("<f", 0.05), struct.pack("<f", value), value in (0.0, 0.5, 3e38))
+            for value in (0.0, 0.5, 3e38, -1e-9, -1.0, math.inf, math.nan)
+        ],
+        (struct.pack("<f", 0.05), b"\x00\x00\x00", False),
+        (struct.pack("<f", 0.05), bytes(8), False),
+    ],
+)
+def test_a_parameter_that_can_be_no_such_one_is_not_written(target: bytes, value: bytes, is_plausible: bool) -> None:
+    assert Endpoint("axis0.config.watchdog_timeout", 311, target).is_plausible(value) is is_plausible

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from firmware_protocol.framing import Frame
 from hil.addons.motors.motor_stop import MotorLine
+from hil.core.errors import BadInputError
 from hil.core.ports import EXTENDED, REMOTE, Received
 from hil.core.types import ZERO_WHEELS, CommandMode, WheelCommand, Wheels
 from hil.robot.link_times import PollAge
@@ -110,3 +112,36 @@ def test_a_number_that_is_none_is_never_sent(mode: str) -> None:
         command = WheelCommand(CommandMode[mode.upper()], speeds, torques)
         with pytest.raises(ValueError, match=r"^speeds .* rad/s, torques .* N·m: expected finite numbers$"):
             bench.device.send(command)
+
+
+def test_controllers_are_asked_for_their_state_every_20_ms_once_they_are_known_and_anew_after_a_restart() -> None:
+    asked: list[Frame] = []
+    question = [Frame(0x21, b"a"), Frame(0x22, b"b")]
+    line: Any = SimpleNamespace(send=asked.append)
+    driver: Any = SimpleNamespace(identity=None, ask=lambda: question)
+    motors = MotorLine(line, driver, PollAge(), is_lockstep=True)
+    motors.ask_state(5)
+    assert asked == [], "nobody is known yet"
+    for _ in range(2):
+        driver.identity = None
+        assert not motors.identify(7)
+        assert [asked.pop(0) for _ in range(2)] == question
+        assert not motors.identify(8)
+        motors.ask_state(S)
+        assert asked == [], "it is asked who it is, and not for its state"
+        driver.identity = "an X"
+        assert motors.identify(8)
+        assert motors.info is not None
+        for now_ms, is_due in ((1000, True), (1019, False), (1020, True)):
+            motors.ask_state(now_ms * 1_000_000)
+            assert asked == (question if is_due else [])
+            asked.clear()
+        motors.restart(7)
+        motors.ask_state(S)
+        assert asked == []
+    assert motors.sent == 2 * 4 * 2 - 4
+    driver.identity = "a Y"
+    with pytest.raises(
+        BadInputError, match=r"another robot answers on the link: a Y; the run began with an X; plug in"
+    ):
+        motors.identify(9)
