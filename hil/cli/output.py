@@ -71,7 +71,7 @@ def table(rows: Sequence[Sequence[str]], *, has_head: bool = True) -> Iterator[s
     columns = [*zip(*rows, strict=True)]
     widths = [max(map(len, column)) for column in columns]
     limit = terminal_width()
-    if limit is not None and sum(widths) + _GAP * (len(widths) - 1) > limit:
+    if limit is not None:
         least = [max(len(word) for text in column for word in text.split() or [""]) for column in columns]
         room = limit - _GAP * (len(widths) - 1)
         cap = next((cap for cap in range(room, 0, -1) if sum(_capped(widths, least, cap)) <= room), 0)

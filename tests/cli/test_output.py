@@ -82,6 +82,8 @@ def test_a_table_with_columns_too_narrow_for_prose_becomes_paragraphs(monkeypatc
     shown = list(output.table(rows))
     assert shown[:2] == ["ab", "  meaning  word word word word word word"]
     assert shown[2] == "           word word word word word word"
+    words = [("name", "meaning"), ("a" * 30, "b" * 29)]  # neither is long, and both do not fit
+    assert list(output.table(words)) == ["a" * 30, f"  meaning  {'b' * 29}"]
     assert shown[5:] == ["cd", "  unit     m", "  meaning  short", "e" * 22, "  unit     kg", "  meaning  x"]
 
 

@@ -14,8 +14,9 @@ from hil.record.files import Rotation
 from hil.references import Feasibility
 from hil.references.feasibility import Requirement
 from hil.runtime import assembly
+from hil.runtime.robots import firmware_values
 from hil.runtime.run_options import RunOptions
-from hil.scenario import Scenario
+from hil.scenario import Scenario, load
 from tests.support.processes import hil
 
 
@@ -163,18 +164,9 @@ def test_check_tells_each_scenario_by_its_name_and_fails_where_one_cannot_be_fol
 # ------------------------------------------------------------------------------------------------- params
 
 
-@pytest.mark.parametrize(
-    ("words", "steps"),
-    [
-        ((), ["read"]),
-        (("ramp_s=0.2",), ["write ramp_s=0.2", "read"]),
-        (("ramp_s=0.2", "--restore", "--store"), ["restore", "write ramp_s=0.2", "store", "read"]),
-        (("--store",), ["store", "read"]),
-    ],
-)
-def test_parameters_are_checked_before_any_changes_and_read_at_the_end(
-    monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], steps: list[str]
-) -> None:
+@pytest.fixture
+def parameter_steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is done with a robot's parameters, in order."""
     done: list[str] = []
 
     class Client:
@@ -213,8 +205,40 @@ def test_parameters_are_checked_before_any_changes_and_read_at_the_end(
     monkeypatch.setattr("hil.robot.parameters.ParameterClient", Client)
     monkeypatch.setattr("hil.wire.device_lock.device_held", held)
     monkeypatch.setattr("hil.wire.url.parse_link", lambda _: url)
+    return done
+
+
+def test_parameters_of_a_scenario_come_before_those_that_are_typed(parameter_steps: list[str], tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text("[firmware]\nramp_s = 0.3\nwatchdog_s = 0.05\n")
+
+    def written(*words: str) -> dict[str, float]:
+        parameter_steps.clear()
+        assert hil("params", "serial:/dev/ttyX", *words, cwd=tmp_path).returncode == 0
+        pairs = [step.removeprefix("write ").split("=") for step in parameter_steps if step.startswith("write ")]
+        return {name: float(value) for name, value in pairs}
+
+    own = written("--scenario", "circle_speed")
+    assert own == {name: float(value) for name, value in firmware_values(load("circle_speed")).items()}
+    both = written("--scenario", "circle_speed", "--robot", "robot.toml")
+    assert both == own | {"ramp_s": 0.3, "watchdog_s": 0.05}
+    alone = written("--robot", "robot.toml", "ramp_s=0.4")
+    assert (alone["ramp_s"], alone["watchdog_s"], alone.keys()) == (0.4, 0.05, own.keys())
+
+
+@pytest.mark.parametrize(
+    ("words", "steps"),
+    [
+        ((), ["read"]),
+        (("ramp_s=0.2",), ["write ramp_s=0.2", "read"]),
+        (("ramp_s=0.2", "--restore", "--store"), ["restore", "write ramp_s=0.2", "store", "read"]),
+        (("--store",), ["store", "read"]),
+    ],
+)
+def test_parameters_are_checked_before_any_changes_and_read_at_the_end(
+    parameter_steps: list[str], words: tuple[str, ...], steps: list[str]
+) -> None:
     shown = hil("params", "serial:/dev/ttyX", *words)
-    assert done == ["hil params serial:/dev/ttyX", "open", "check", *steps, "close", "free"]
+    assert parameter_steps == ["hil params serial:/dev/ttyX", "open", "check", *steps, "close", "free"]
     assert shown.stdout.splitlines() == [
         "parameter  type   value      range",
         "ramp_s     float  0.1234568  0 to 2.5",

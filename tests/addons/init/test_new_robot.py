@@ -2,14 +2,14 @@
 
 import math
 import tomllib
-from itertools import pairwise, takewhile
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hil.addons.init import new_robot
-from hil.addons.init.new_robot import PROJECT_QUESTIONS, QUESTIONS, found_text, robot_text, scenario_text
+from hil.addons.init.new_robot import PROJECT_QUESTIONS, QUESTIONS, found_text, problem_with, robot_text, scenario_text
+from hil.core.errors import BadInputError
 from hil.robot.driver import Found
 
 SIZES = {"mass_kg": 10.0, "wheel_radius_m": 0.05, "half_length_m": 0.2, "half_width_m": 0.15}
@@ -83,6 +83,34 @@ def test_a_first_circle_takes_three_tenths_of_speed_and_torque_and_5_s_at_least(
     assert scenario["expect"][0]["below"] == 0.05
 
 
+@pytest.mark.parametrize(("most_hz", "proposed"), [(200, 200), (199, 100), (100, 100), (99, 50), (49, 20), (20, 20)])
+def test_commands_come_as_fast_as_the_drivers_feedback_allows(
+    monkeypatch: pytest.MonkeyPatch, most_hz: int, proposed: int
+) -> None:
+    watchdogs_s = {200: 0.025, 100: 0.05, 50: 0.1, 20: 0.1}
+
+    def loaded(_: str, *, set: dict[str, Any]) -> None:  # noqa: A002 - the name of the option
+        assert set["device.driver"] == "odrive"
+        assert set["firmware.watchdog_s"] == pytest.approx(watchdogs_s[set["loop.rate_hz"]])
+        if set["loop.rate_hz"] > most_hz:
+            raise BadInputError(f"at most {most_hz} Hz")
+
+    monkeypatch.setattr(new_robot, "load", loaded)
+    assert new_robot._fastest("odrive") == proposed
+    most_hz = 19
+    with pytest.raises(BadInputError, match="at most 19 Hz"):
+        new_robot._fastest("odrive")
+
+
+def test_a_robot_of_a_driver_whose_settings_cannot_be_proposed_is_refused() -> None:
+    (driver,) = (question for question in PROJECT_QUESTIONS if question.key == "device.driver")
+    assert problem_with(driver, "odrive") is problem_with(driver, "stm32") is None
+    assert str(problem_with(driver, "dbc")).startswith(
+        "hil init cannot write a robot for 'dbc', because nothing can be proposed for device.motors.file"
+    )
+    assert problem_with(driver, "odrve") == "there is no driver 'odrve'; did you mean 'odrive'?"
+
+
 def test_a_first_circle_says_what_it_goes_by(monkeypatch: pytest.MonkeyPatch) -> None:
     def first_line(driver: str, sensors: tuple[str, ...] = ()) -> str:
         can = SimpleNamespace(sensors=sensors)
@@ -94,14 +122,15 @@ def test_a_first_circle_says_what_it_goes_by(monkeypatch: pytest.MonkeyPatch) ->
     assert first_line("odrive", ("current",)) == both.replace(" and the gyro", "")
 
 
-def test_what_a_driver_says_of_its_settings_is_in_comments_of_118_columns() -> None:
-    rows = robot_text(answers(driver="odrive")).splitlines()
-    begin = rows.index("[device.motors]")
-    notes = list(reversed(list(takewhile(lambda row: row.startswith("# "), reversed(rows[:begin])))))
-    assert len(notes) > 1
-    assert max(map(len, notes)) <= 118
-    for row, after in pairwise(notes):
-        assert len(f"{row} {after.split()[1]}") > 118, "a line is as full as it can be"
+def test_what_a_driver_says_of_its_settings_is_in_comments_of_118_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Settings:
+        """``[device.motors]``:"""
+
+    Settings.__doc__ = f"{Settings.__doc__}\n\n{' '.join(['xx'] * 60)}"
+    monkeypatch.setattr(new_robot, "dialect", lambda _: SimpleNamespace(settings=Settings, title="yyyy"))
+    _, first, second, table = new_robot._motors_text("odrive", {}).splitlines()
+    assert (first, table) == (f"# yyyy: {' '.join(['xx'] * 37)}", "[device.motors]")
+    assert second == f"# {' '.join(['xx'] * 23)}"
 
 
 def test_a_fast_robots_circle_takes_5_s() -> None:
