@@ -323,6 +323,20 @@ def test_a_stop_does_not_wait_for_the_links_latency():
     assert rig.state is m.State.STOPPING
 
 
+def test_every_command_is_sent_once_with_the_next_number():
+    rig = WheelRig(lockstep=True)
+    device, clock = driver(rig)
+    device.connect()
+    device.start(clock, PERIOD_NS)
+    sequences = []
+    for _ in range(300):
+        sequences.append(device.send(WheelCommand(CommandMode.SPEED, ZERO_WHEELS, ZERO_WHEELS)))
+        clock.wait_until(clock.now_ns() + PERIOD_NS)
+        device.poll()
+    assert sequences == [(sequences[0] + number) % 256 for number in range(300)]
+    assert rig.state is m.State.ACTIVE
+
+
 @pytest.mark.proves("R-STATE-10")
 def test_latched_states_are_said_with_what_to_do():
     rig = WheelRig(lockstep=True)

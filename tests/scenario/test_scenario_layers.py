@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hil.core.errors import BadInputError
 from hil.core.options import format_value
 from hil.scenario.layers import Tree, assign, dotted, leaves, make_layer, merge, plain, stack
-from hil.scenario.toml_text import key_lines, parse_value
+from hil.scenario.toml_text import key_lines, parse, parse_value
 
 names = st.sampled_from(["a", "b", "c", "d"])
 scalars = st.integers() | st.booleans() | st.text(max_size=3)
@@ -190,3 +190,10 @@ def test_any_text_is_a_value(text: str) -> None:
 )
 def test_what_is_no_toml_is_text(text: str, value: object) -> None:
     assert parse_value(text) == value
+
+
+@pytest.mark.parametrize(("begin", "end"), [("a." * 48 + "a = [", "]"), ("a = " + "[" * 49, "]" * 49)])
+def test_a_document_is_read_unless_its_values_are_50_deep(begin: str, end: str) -> None:
+    parse(f"{begin}{end}", "my.toml")
+    with pytest.raises(BadInputError, match=r"my\.toml: not readable: arrays or tables are nested more than 50 deep"):
+        parse(f"{begin}1{end}", "my.toml")
