@@ -8,13 +8,14 @@ import stat
 import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from firmware_protocol.generated.messages import State
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import ZERO_WHEELS, Pose, PoseFix, Twist, Wheels
-from hil.robot.truth_client import TruthClient
+from hil.robot.truth_client import LONGEST_ANSWER, TruthClient, _read_answer
 from hil.robot.truth_server import TruthServer
 from tests.support.processes import wait_for
 
@@ -203,3 +204,13 @@ def test_a_server_says_what_it_refuses() -> None:
             server.run_on_faults = lambda run: run(SimpleNamespace(applied=lambda: None))
             with pytest.raises(DeviceError, match="does not report how often a fault was applied"):
                 client.applied()
+
+
+def test_an_answer_may_be_as_long_as_a_server_s_longest_and_no_longer() -> None:
+    """A stand-in for a socket, whose pieces are as long as they are given."""
+    longest = b'{"ok": true}'.ljust(LONGEST_ANSWER)
+    pieces = iter([longest, b"\n{", longest + b" ", b"\n"])
+    connection: Any = SimpleNamespace(recv=lambda _: next(pieces))
+    assert _read_answer(connection) == ({"ok": True}, bytearray(b"{"))
+    with pytest.raises(ValueError, match="no line"):
+        _read_answer(connection)

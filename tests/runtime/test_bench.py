@@ -1,5 +1,7 @@
 """What the bench of a run asks for before the robot moves, with stand-ins for its parts."""
 
+import itertools
+import random
 from types import SimpleNamespace as Values
 from typing import Any
 
@@ -7,7 +9,7 @@ import pytest
 
 from hil.core.errors import BadInputError
 from hil.core.types import Pose
-from hil.runtime.bench import Bench
+from hil.runtime.bench import Bench, _nonces
 from hil.scenario import load
 
 REAL = {"is_local": False, "has_truth": False, "has_power_stage": True, "is_hidden": True}
@@ -47,3 +49,15 @@ def test_odometry_starts_where_the_scenario_says_or_else_where_the_robot_is(
     assert Bench.start_pose(Values(_scenario=scenario, truth=truth)) == pose  # type: ignore[arg-type]
     if fix is None:
         assert Bench.start_pose(Values(_scenario=scenario, truth=None)) == pose  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", [1, 2, None])
+def test_the_nonce_of_a_session_differs_from_the_one_before_in_its_low_4_bits(seed: int | None) -> None:
+    drawn, found = random.Random(seed), list(itertools.islice(_nonces(seed), 3000))
+    assert all(one % 16 != other % 16 for one, other in itertools.pairwise(found))
+    assert 0 < min(found) < max(found) < 0x10000
+    if seed is not None:
+        expected = [drawn.randrange(1, 0x10000)]
+        while len(expected) < 3000:
+            expected += [nonce for nonce in [drawn.randrange(1, 0x10000)] if (nonce - expected[-1]) % 16]
+        assert found == expected, "as few as can be are left out"
