@@ -329,3 +329,23 @@ def test_afdsc_eso_has_afdsc_s_gains_and_in_speed_mode_k1_alone():
         law.reset(state, reference)
         assert all(map(math.isnan, law.gains[3:]))
         assert all(map(math.isfinite, law.gains[:3]))
+
+
+@pytest.mark.parametrize("name", ["dsc_eso", "afdsc_eso", "mpc"])
+def test_no_push_is_believed_to_be_more_than_the_page_says(name):
+    """Within ±3 m/s² and ±10 rad/s² (LAWS.md), however far a measured pose leaps."""
+    goal = Hold(0.0, 0.0, 0.0).at(0.0)
+    for sign in (1.0, -1.0):
+        law = made(name)
+        state = State(Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0))
+        law.reset(state, goal)
+        for number in range(20):
+            x = sign * 0.02 * number**2
+            law.update(goal, State(Pose(x, -x, 0.1 * x), state.twist), AT_REST, DT_S)
+            if abs(x) > 0.3:
+                break
+        assert law._predictor.disturbance[:2] == (sign * 3.0, -sign * 3.0)
+        law.reset(state, goal)
+        for heading in (0.0, 0.3, 1.0):
+            law.update(goal, State(Pose(0.0, 0.0, sign * heading), state.twist), AT_REST, DT_S)
+        assert law._predictor.disturbance[2] == sign * 10.0
