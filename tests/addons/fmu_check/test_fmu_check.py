@@ -249,6 +249,26 @@ def test_a_call_may_last_as_long_as_is_given_once_the_first_part_has_begun(
         checker._run_child(job, tmp_path, 9.0, said.append)
 
 
+def test_each_part_is_announced_and_a_missing_library_of_ours_is_told_before_any(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    jobs: list[tuple[object, ...]] = []
+    monkeypatch.setattr(checker, "_run", lambda job, _, *rest: (jobs.append((job["parts"], *rest)), [])[1])
+    fmu = lag(tmp_path, 2)
+    parts = check(fmu, 7.0, said.append).parts
+    assert ([part.name for part in parts], said) == (["archive", "model description"], ["archive", "model description"])
+    assert jobs == [([title(part) for part in PARTS], 7.0, said.append)]
+
+    def missing() -> None:
+        raise BadInputError("no compiler")
+
+    monkeypatch.setattr("hil.plant.shim.load", missing)
+    with pytest.raises(BadInputError, match="no compiler"):
+        check(fmu, 7.0, said.append)
+    assert (len(said), len(jobs)) == (2, 1)
+
+
 def test_an_instance_is_freed_but_for_one_that_answered_fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     made = SimpleNamespace(initialise=lambda: calls.append("initialise"), call=calls.append)

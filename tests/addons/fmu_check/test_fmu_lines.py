@@ -56,6 +56,7 @@ def test_all_that_an_fmu_says_of_itself_is_shown(tmp_path: Path) -> None:
     assert found.about == {
         "description": "follows", "author": "Ada", "version": "7", "license": "MIT", "copyright": "2026", "tool": "cc"
     }  # fmt: skip
+    assert list(found.about) == ["description", "author", "version", "license", "copyright", "tool"], "as it is shown"
     assert found.experiment == {"start": "0.5", "stop": "1.5", "step": "0.01", "tolerance": "1e-4"}
     assert found.interfaces == {"CoSimulation": "lag"}
     claims = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "maxOutputDerivativeOrder=2")
