@@ -10,6 +10,7 @@ from typing import Any, cast
 import pytest
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from hil.addons.service import logs
 from hil.addons.service.api import connections
 from hil.addons.service.api.access import Access
 from hil.addons.service.api.connections import ConnectionPools, HttpConnection
@@ -190,3 +191,49 @@ def test_as_many_files_are_opened_as_may_be_up_to_what_is_needed(
     monkeypatch.setattr("resource.setrlimit", lambda _, new: set_.append(new))
     assert connections._most_files() == found
     assert set_ == ([] if is_set is None else [is_set])
+
+
+@pytest.mark.parametrize(
+    ("token", "more_body", "limit_s"),
+    [("t" * 16, False, 40.0), ("t" * 16, True, 10.0), ("u" * 16, False, 2.0), ("u" * 16, True, 2.0)],
+)
+def test_a_request_has_the_time_of_its_token_and_a_whole_one_that_of_its_answer(
+    monkeypatch: pytest.MonkeyPatch, clock: Clock, token: str, more_body: bool, limit_s: float
+) -> None:
+    def begun(self: Any) -> None:
+        self.cycle = SimpleNamespace(response_complete=False, more_body=more_body)
+
+    monkeypatch.setattr(H11Protocol, "handle_events", begun)
+    pools = pools_of(monkeypatch)
+    http, _ = pools.protocols()
+    one: Any = http.__new__(http)
+    one.cycle, one.transport = None, One()
+    one.headers = [(b"authorization", f"Bearer {token}".encode())]
+    one.handle_events()
+    clock.now_s += limit_s
+    swept(pools)
+    assert not one.transport.is_aborted
+    clock.now_s += 0.01
+    swept(pools)
+    assert one.transport.is_aborted
+
+
+def test_a_websocket_with_a_token_is_known_and_has_its_own_share_and_that_of_the_token(
+    monkeypatch: pytest.MonkeyPatch, clock: Clock
+) -> None:
+    monkeypatch.setattr(logs, "time", clock)
+    pools = pools_of(monkeypatch)
+    _, websocket = pools.protocols()
+    one: Any = websocket.__new__(websocket)
+    one.transport = One()
+    pools.place(one, in_request=True)
+    clock.now_s += 1.0
+    of_token = connections.Rate(1000.0, 2000.0)
+    one.know(of_token)
+    pools.place(one, in_request=True)
+    clock.now_s += 39.0
+    swept(pools)
+    assert not one.transport.is_aborted, "it has the time of a client that is known"
+    own, shared = one._frames
+    assert shared is of_token
+    assert (own.take(600), own.take(1)) == (True, False), "twice as many as in a second, after a pause"
