@@ -42,17 +42,17 @@ class RobotModel:
     speed_limit_rad_s: Annotated[
         float, Range(gt=0, le=63.984375), "of one wheel; the robot's own limit applies if it is smaller"
     ] = field(kw_only=True)
-    lever_m: float = field(init=False, repr=False, compare=False)
+    lever_m: float = field(init=False, repr=False)
     """L = l1 + l2 [m]."""
-    wheels_mass_kg: float = field(init=False, repr=False, compare=False)
+    wheels_mass_kg: float = field(init=False, repr=False)
     """k = 4 Ib / r² [kg]: the mass that is equivalent to the wheels' rotational inertia."""
-    effective_mass_kg: float = field(init=False, repr=False, compare=False)
+    effective_mass_kg: float = field(init=False, repr=False)
     """m + k [kg]."""
-    effective_inertia_kg_m2: float = field(init=False, repr=False, compare=False)
+    effective_inertia_kg_m2: float = field(init=False, repr=False)
     """I + k L² [kg·m²]."""
-    wheel_friction_n_m: float = field(init=False, repr=False, compare=False)
+    wheel_friction_n_m: float = field(init=False, repr=False)
     """μ m g r / 4 [N·m]: friction torque of one wheel."""
-    _for_torques: Any = field(init=False, repr=False, compare=False)
+    _for_torques: Any = field(init=False, repr=False)
     """What ``wheel_torques`` in C takes of the robot: m + k, k and I + k L²; r and L."""
 
     def __post_init__(self) -> None:

@@ -87,6 +87,14 @@ def test_what_follows_from_the_numbers():
     assert ROBOT.effective_inertia_kg_m2 == pytest.approx(0.56 + k * 0.55**2)
 
 
+def test_a_robot_is_shown_and_compared_by_the_numbers_that_were_given():
+    given = [f.name for f in dataclasses.fields(RobotModel) if f.init]
+    assert repr(ROBOT) == f"RobotModel({', '.join(f'{name}={getattr(ROBOT, name)!r}' for name in given)})"
+    assert dataclasses.replace(ROBOT) == ROBOT
+    assert hash(dataclasses.replace(ROBOT)) == hash(ROBOT)
+    assert dataclasses.replace(ROBOT, half_width_m=0.3) != ROBOT
+
+
 def test_a_changed_copy_follows_its_own_numbers():
     assert dataclasses.replace(ROBOT, mass_kg=30.0).effective_mass_kg - ROBOT.effective_mass_kg == 10.0
 

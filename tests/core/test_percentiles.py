@@ -43,6 +43,25 @@ def test_beyond_its_size_each_value_is_kept_as_likely_as_any_other(monkeypatch: 
     assert found.p99 == pytest.approx(3960.0, abs=3 * 20.0)
 
 
+def test_the_nth_value_takes_one_of_n_places_of_which_the_first_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Places:
+        def __init__(self, _seed: int) -> None:
+            pass
+
+        def integers(self, low: int, high: np.ndarray) -> np.ndarray:
+            asked.append((low, high.tolist()))
+            return np.array([1, 4, 3][: len(high)])
+
+    asked: list[tuple[int, list[int]]] = []
+    monkeypatch.setattr(percentiles, "CAPACITY", 4)
+    monkeypatch.setattr(np.random, "default_rng", Places)
+    sample = Reservoir()
+    sample.extend(np.arange(7.0))
+    sample.extend(np.array([70.0]))
+    assert asked == [(0, [5, 6, 7]), (0, [8])]
+    assert np.frombuffer(sample._kept).tolist() == [0.0, 70.0, 2.0, 6.0], "place 4 is beyond the sample"
+
+
 def test_what_json_does_not_have_is_null_wherever_it_is() -> None:
     value = {"a": [1.5, math.nan, (math.inf, "nan", True)], "b": {"c": -math.inf, "d": None, "e": 3}}
     assert json_safe(value) == {"a": [1.5, None, [None, "nan", True]], "b": {"c": None, "d": None, "e": 3}}
