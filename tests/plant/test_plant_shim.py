@@ -6,13 +6,16 @@ import random
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.types import Wheels
+from hil.plant import shim
 from hil.plant.fmu import FmuPlant
+from hil.plant.mapping import Connection, Wiring
 from hil.plant.start import Value
 from tests.support.plant_testbed import DESCRIPTION, FMU, REFERENCE, TORQUES, WHEELS, last_successful_time_s, slave
 
@@ -226,3 +229,28 @@ def test_a_refused_start_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, 
 def test_a_bad_start_is_refused(start: dict[str, Value], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         FmuPlant(FMU, start)
+
+
+def test_the_range_of_an_input_is_in_the_bridge_s_unit_and_an_input_without_one_has_none() -> None:
+    ffi, _ = shim.load()
+    variable = SimpleNamespace(
+        name="u", valueReference=7, type="Real", min="-1", max="4", start="0", declaredType=None, shape=()
+    )
+    free = SimpleNamespace(**vars(variable) | {"name": "free", "valueReference": 8, "min": None, "max": None})
+    rows = [
+        Connection(0, variable, 0, 2.0, 3.0),
+        Connection(2, variable, 0, -2.0, 3.0),
+        Connection(3, free, 0, 2.0, 3.0),
+    ]
+    context = ffi.new("cosim *")
+    kept = shim.connect(context, Wiring(tuple(rows), (), frozenset({1}), ()), lambda *_: ffi.NULL)
+    assert kept
+    assert [(context.low[place], context.high[place]) for place in range(4)] == [
+        (1.0, 11.0), (-math.inf, math.inf), (-5.0, 5.0), (-math.inf, math.inf)
+    ]  # fmt: skip
+    assert context.is_bounded
+    assert [bool(context.derived[place]) for place in range(3)] == [False, True, False]
+    assert context.derives
+    unbounded = ffi.new("cosim *")
+    kept = shim.connect(unbounded, Wiring((rows[2],), (), frozenset(), ()), lambda *_: ffi.NULL)
+    assert (unbounded.is_bounded, unbounded.derives) == (0, 0)
