@@ -14,11 +14,11 @@ import pytest
 
 from hil.addons.report import charts as charts_module
 from hil.addons.report.charts import Band, Chart, Lane, Line, Mark, Panel, figure_of
-from hil.addons.report.difference import changes, differences, pair_lines, signal_differences, signal_rows
+from hil.addons.report.difference import _head, changes, differences, pair_lines, signal_differences, signal_rows
 from hil.addons.report.panels import charts
 from hil.addons.report.review_page import page
 from hil.addons.report.shown import Shown
-from hil.judge.judged_run import Recovered
+from hil.judge.judged_run import Failure, JudgedRun, LimitResult, Recovered, Verdict
 from hil.pages.plots import colour_of
 from hil.record.contents import Series
 from tests.support.golden import assert_golden
@@ -181,3 +181,12 @@ def test_the_terminal_says_this_of_two_runs(everything: bool) -> None:
         lines += [*pair_lines([one.judged, other.judged], found, changed, everything=everything), "-" * 40]
     lines += map(" | ".join, signal_rows(signal_differences(first.run, second.run)))
     assert_golden(GOLDEN / f"pair_{'all' if everything else 'short'}.txt", "\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("failures", "why"), [(1, "gone"), (2, "gone; and one more reason"), (3, "gone; and 2 more reasons")]
+)
+def test_a_run_beside_another_has_its_first_reason_and_the_number_of_the_others(failures: int, why: str) -> None:
+    allow = [LimitResult(f"limit {i}", False, 1, 1, 0, -2.0, f"limit {i}") for i in range(1, failures)]
+    run = JudgedRun(verdict=Verdict.FAILED, failure=Failure("gone", "LinkError", 0.5), allow=allow)
+    assert dict(_head(run))["why"] == why

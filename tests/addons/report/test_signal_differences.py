@@ -47,6 +47,16 @@ def test_a_difference_is_second_minus_first() -> None:
     np.testing.assert_allclose(one.values, 0.25)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_run_of_a_single_row_is_compared_in_that_row_and_one_without_rows_in_none() -> None:
+    first = made(1.0, offset=0.25)
+    for count, expected in ((1, [-0.25]), (0, [])):
+        cut = {name: series[:count] for name, series in made(1.0).signals.items()}
+        second = RecordedRun(Path("cut.rrd"), cut, (), {}, None, 0)
+        (one,) = signal_differences(first, second, ["error.planar_m"])
+        assert one.values[np.isfinite(one.values)].tolist() == expected
+
+
 def by_hand(t_s: float, samples: list[tuple[float, float]], gap_s: float, *, is_angle: bool) -> float | None:
     """Return the value between two samples; None where there is none, or rows are missing."""
     for (before_s, before), (after_s, after) in itertools.pairwise(samples):
