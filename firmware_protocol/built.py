@@ -18,6 +18,8 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent
 """The top of a checkout, or site-packages."""
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+EXTENSION_SUFFIX = ".pyd" if sys.platform == "win32" else ".abi3.so"
+"""Of an extension module of the stable ABI."""
 # Without fused multiply-add the same sources give the same numbers on every machine with IEEE 754 rounding.
 FLAGS = (
     "-std=c11",
@@ -46,6 +48,7 @@ class Built(NamedTuple):
         read: returns the hash that a file of this kind holds, or None.
         root: the folder of the packages.
         flags: the compiler's flags; they are part of the hash.
+        of_python: the header of what an extension module finds in the Python that loads it; None for other files.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class Built(NamedTuple):
     read: Callable[[Path], str | None]
     root: Path = ROOT
     flags: tuple[str, ...] = FLAGS
+    of_python: Path | None = None
 
     def digest(self) -> str | None:
         """Return the SHA-256 of sources and flags, in hex; None if no source exists."""
@@ -123,14 +127,15 @@ SOURCES = (
 _FOLDERS = ("firmware", "client", "port/host", "port/python", "generated")
 HEADERS = tuple(header for folder in _FOLDERS for header in (HERE / folder).glob("*.h"))
 WHEEL_HOST = Built(
-    HERE / f"libwheel_host{SUFFIX}",
+    HERE / f"_wheel{EXTENSION_SUFFIX}",
     "tools.build.wheel_host",
     (*SOURCES, *HEADERS),
     digest_in_library,
     flags=FIRMWARE_FLAGS,
+    of_python=HERE / "port" / "python" / "stable_abi.h",
 )
-"""The firmware core as a shared library of this machine. It is loaded with cffi's ABI mode, which needs neither
-Python's headers nor a compiler where it runs.
+"""The firmware core and the host's half of the protocol, as an extension module of the stable ABI. For what is not in a
+tick cffi's ABI mode opens the same file, which needs neither Python's headers nor a compiler where it runs.
 """
 # Another build of the library may replace it, to measure which code the tests cover.
 OTHER = os.environ.get("WHEEL_HOST_LIBRARY")

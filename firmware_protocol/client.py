@@ -4,17 +4,14 @@
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from firmware_protocol.fast_calls import address_of, fast_call
-from firmware_protocol.generated.messages import Mode, Request
-from firmware_protocol.host import library
+from firmware_protocol.extension import library, wheel
+from firmware_protocol.generated.messages import Mode, Request, State
 from firmware_protocol.host_line import PackedFrames
 
-FourNumbers = tuple[float, float, float, float]
-
+_STATES = tuple(State)
 MOST_TICKS = 1000
 """The most that one STEP runs (wheel.dbc, STEP.substeps)."""
 _LOG_BYTES = 1 << 15
@@ -22,47 +19,31 @@ NO_TIME = -1
 """The time [ns] in place of one that is not known: a round trip is not measured then, no heartbeat follows."""
 
 
-class Client:
+class Client(wheel.Client):
     """The host's session with one robot. ``wheel_client.h`` explains the calls; their names are the same.
 
-    ``parameter_check`` is the low byte of the parameter hash that the robot must have. Times are those of one clock
-    [ns]. Raises BuildError when the host library cannot be loaded.
+    ``parameter_check`` is the low byte of the parameter hash that the robot must have. ``feedback`` and ``wheels`` are
+    the classes of what ``feedback()`` returns, and of four numbers in it. Times are those of one clock [ns]. Raises
+    BuildError when the extension module cannot be loaded.
 
     Attributes:
-        handle: the C struct, for other functions of the library; valid as long as this object.
-        address: the same, for functions of ``fast_calls``.
-        view: ``wheel_view``, what is known of the robot.
-        take: takes packed frames from a place on that arrived at a time [ns]; returns where the next one begins, or the
-            end. Then see ``view``.
-        poll: adds HELLO and the heartbeat when they are due at a time [ns]; returns whether one was.
-        command: adds a command: speeds and torques of the four wheels, and the time [ns]; returns its sequence number,
-            or -1 when it cannot be sent.
-        sent: the frames of ``out`` were sent; returns their number.
-        link_figures: returns how many messages were sent and received, how many snapshots are missing or incomplete,
-            and the newest round trip [ms], NaN before the first.
+        handle: the C struct, for cffi; valid as long as this object.
+        view: ``wheel_view``, what is known of the robot. Look at it after each ``take``.
     """
 
-    def __init__(self, mode: Mode, parameter_check: int, nonce: int) -> None:
+    def __init__(
+        self, mode: Mode, parameter_check: int, nonce: int, feedback: type[NamedTuple], wheels: type[NamedTuple]
+    ) -> None:
+        super().__init__(mode, parameter_check, nonce, feedback, wheels, _STATES)
         ffi, lib = library()
         self._ffi, self._lib = ffi, lib
-        self._memory = ffi.new("uint64_t[]", lib.wheel_client_size() // 8 + 1)
-        self.handle = ffi.cast("wheel_client *", self._memory)
-        lib.wheel_client_init(self.handle, mode, parameter_check, nonce)
+        self.handle = ffi.cast("wheel_client *", self.address)
         self.view: Any = lib.wheel_client_view(self.handle)
         self._round_trips_ns = memoryview(ffi.buffer(self.view.round_trips_ns)).cast("q")
         self._logs = ffi.new("uint8_t[]", _LOG_BYTES), ffi.new("uint8_t[]", _LOG_BYTES)
         lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
         self._logged = ffi.new("size_t[2]")
         self._hashes = hashlib.sha256(), hashlib.sha256()
-        self.address = address_of(self.handle)
-        call = partial(fast_call, owner=self.handle, keeps=self._memory)
-        self.take: Callable[[bytes, int, int], int] = call("take")
-        self.poll: Callable[[int], bool] = call("poll")
-        self.command: Callable[[FourNumbers, FourNumbers, int], int] = call("command")
-        self.sent: Callable[[], int] = call("sent")
-        self.link_figures: Callable[[], FourNumbers] = call("link_figures")
-        self._out: Callable[[], bytes] = call("out")
-        self._ask: Callable[[int], bool] = call("ask")
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
         """Set which wheel each robot channel drives, and its direction; the values in ``view`` are then per wheel.
@@ -85,7 +66,7 @@ class Client:
 
     def out(self) -> PackedFrames:
         """Return the frames that wait to be sent; call ``sent`` or ``unsent`` then."""
-        return PackedFrames(self._out(), self.view.out_frames)
+        return PackedFrames(self.packed(), self.view.out_frames)
 
     def unsent(self) -> None:
         """The frames of ``out`` could not be sent; they do not count."""
@@ -111,7 +92,7 @@ class Client:
 
     def step(self, ticks: int) -> None:
         """Lockstep: add a STEP of so many ticks; 0 asks for the robot's tick. Raises ValueError for more than 1000."""
-        if ticks > MOST_TICKS or not self._ask(ticks):
+        if ticks > MOST_TICKS or not self.ask(ticks):
             raise ValueError(f"STEP of {ticks} ticks cannot be sent; expected at most {MOST_TICKS}")
 
     def step_again(self) -> None:

@@ -25,7 +25,6 @@ HEADERS = tuple(
         "client/wheel_motion.h",
         "client/wheel_load.h",
         "port/host/direct.h",
-        "port/python/fast_calls.h",
     )
 )
 TABLE = "extern const wheel_parameter_info wheel_parameter_table[];"

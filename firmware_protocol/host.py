@@ -5,16 +5,13 @@ needs no Python call.
 """
 
 import functools
-import hashlib
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from firmware_protocol.built import OTHER, WHEEL_HOST, BuildError, digest_in_library
 from firmware_protocol.capabilities import Capability
-from firmware_protocol.declarations import HEADERS, TABLE, declared
+from firmware_protocol.extension import library, wheel
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated.messages import Fault, FaultWheel, Mode, ResetCause, State, StopReason, Type
 
@@ -23,46 +20,6 @@ _BYTES = 1 << 17  # twice what all frames of a full queue take (WHEEL_HOST_QUEUE
 # The host library has no power stage of its own, and its user decides whether time comes from STEP.
 _NOTHING = Capability(0)
 _CAN_DO = ~(Capability.POWER_STAGE | Capability.LOCKSTEP)
-
-
-class Loaded(NamedTuple):
-    """A loaded native library.
-
-    Attributes:
-        ffi, library: cffi's objects. sha256: hash of the file, in hex. sources_sha256: hash of the sources that it was
-            built from, None if the file holds none.
-    """
-
-    ffi: Any
-    library: Any
-    sha256: str
-    sources_sha256: str | None
-
-
-def library() -> tuple[Any, Any]:
-    """Return cffi's (ffi, library), with the declarations taken from the C headers themselves.
-
-    A library that does not match its sources is rebuilt in a checkout. Raises BuildError if that is not possible.
-    """
-    return loaded()[:2]
-
-
-@functools.cache
-def loaded() -> Loaded:
-    """Load the library once, and return it with its hashes. Raises as ``library``."""
-    if OTHER is None:
-        WHEEL_HOST.make_current()
-    path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
-    if not path.is_file():
-        raise BuildError(f"{path} does not exist; build it, or unset WHEEL_HOST_LIBRARY")
-    return load_library(path, HEADERS, TABLE)
-
-
-def load_library(path: Path, headers: Iterable[Path], declarations: str = "") -> Loaded:
-    """Load a library, with the declarations that C headers mark for cffi, and further ``declarations``."""
-    ffi = declared(path, headers, declarations)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Loaded(ffi, ffi.dlopen(str(path)), digest, digest_in_library(path))
 
 
 class Parameter(NamedTuple):
@@ -138,7 +95,7 @@ class View(NamedTuple):
     rejected: dict[str, int]
 
 
-class HostNode:
+class HostNode(wheel.Node):
     """One robot's firmware on this machine.
 
     ``exchange_address`` and ``context_address`` are the plant's C function and its context; their owner keeps them
@@ -150,8 +107,7 @@ class HostNode:
     Raises ValueError when a parameter is unknown, missing or out of range, or ``stored`` has a wrong length.
 
     Attributes:
-        handle: the C struct, for other functions of the library; valid as long as this object.
-        address: the same, for functions of ``fast_calls``.
+        handle: the C struct, for cffi; valid as long as this object.
     """
 
     def __init__(
@@ -168,20 +124,16 @@ class HostNode:
     ) -> None:
         self._ffi, self._lib = library()
         block = _parameter_block(values)
-        self._memory = self._ffi.new("uint64_t[]", self._lib.wheel_host_size() // 8 + 1)
-        self.handle = self._ffi.cast("wheel_host *", self._memory)
-        self.address = int(self._ffi.cast("uintptr_t", self.handle))
         self._bytes = self._ffi.new("uint8_t[]", _BYTES)
         self._buffer = self._ffi.buffer(self._bytes, _BYTES)
         self._id = self._ffi.new("uint16_t *")
         capabilities = _CAN_DO & ~lacks | (Capability.LOCKSTEP if lockstep else 0)
         capabilities |= Capability.POWER_STAGE if power_stage else 0
-        exchange = self._ffi.cast("wheel_plant_exchange", exchange_address)
-        context = self._ffi.cast("void *", context_address)
         if stored is not None and len(stored) != stored_size():
             raise ValueError(f"{len(stored)} stored bytes; expected {stored_size()}")
-        kept = self._ffi.NULL if stored is None else self._ffi.new("uint8_t[]", stored)
-        self._lib.wheel_host_init(self.handle, block, kept, capabilities, reset_cause, exchange, context)
+        parameters = bytes(self._ffi.buffer(block))
+        super().__init__(parameters, stored, capabilities, reset_cause, exchange_address, context_address)
+        self.handle = self._ffi.cast("wheel_host *", self.address)
         # Attributes are looked up once, because a lookup costs as much as the call.
         self._feed, self._take_bytes = self._lib.wheel_host_feed, self._lib.wheel_host_take_bytes
 

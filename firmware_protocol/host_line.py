@@ -1,18 +1,13 @@
 """The host's end of a serial line, in the firmware's C: takes a fifth of the time of ``framer``."""
 
-import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import overload
 
-from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.framing import CAUSES, PACKED_HEADERS, Frame, unsendable
-from firmware_protocol.host import library
+from firmware_protocol.extension import library, wheel
+from firmware_protocol.framing import CAUSES, PACKED_HEADERS, Frame, pack, unsendable
 
 _MOST_AT_ONCE = 1 << 12  # bytes passed to the library in one call
 _MOST_TO_SEND = 1 << 10  # packed bytes
-
-
-_fast = functools.cache(fast_call)
 
 
 class PackedFrames(Sequence[Frame]):
@@ -46,13 +41,12 @@ class PackedFrames(Sequence[Frame]):
         return list(self)[place]
 
     def _unpacked(self) -> tuple[Frame, ...]:
-        frames: tuple[Frame, ...] = _fast("frames")(self.packed, Frame)
-        return frames
+        return wheel.frames(self.packed, Frame)
 
 
 def split(frames: PackedFrames, limit: int) -> tuple[PackedFrames | None, PackedFrames | None]:
     """Return the frames with an id below ``limit``, and the others, each in their order; None for none."""
-    below, others = _fast("split")(frames.packed, limit)
+    below, others = wheel.split(frames.packed, limit)
     if not others:
         return frames, None
     return (PackedFrames(below), PackedFrames(others)) if below else (None, frames)
@@ -63,36 +57,21 @@ def packed_of(frames: Sequence[Frame]) -> bytes:
 
     Raises TypeError for an id of more than 16 bits, or a payload of more than 255 bytes.
     """
-    packed: bytes = frames.packed if type(frames) is PackedFrames else _fast("pack")(tuple(frames))
-    return packed
+    return frames.packed if type(frames) is PackedFrames else pack(frames)
 
 
-class HostLine:
+class HostLine(wheel.Line):
     """Both directions of one serial line; each may be used by one thread at a time.
 
     It numbers the frames that it sends, modulo 256. Received bytes raise no error: what is not a valid frame is dropped
-    and counted. Memory is bounded. ``handle`` is the C struct, for other functions of the library; it is valid as long
-    as this object.
-
-    Attributes:
-        receive_for: as ``feed``, for the client at an address: it takes the frames of the bytes that arrived at a time
-            [ns], then adds the frames that are due (``Client.poll``). Returns the number of frames. If the client needs
-            attention (see its ``view``), it returns the packed frames, and how far the client took them.
-        noise: returns how many pieces were no frame: the sum of ``rejected`` but for lost frames.
-        encode_for: returns what waits in the client at an address as bytes for the wire.
+    and counted. Memory is bounded. ``handle`` is the C struct, for cffi; it is valid as long as this object.
     """
 
     def __init__(self) -> None:
+        super().__init__()
         ffi, lib = library()
         self._counts = ffi.new("wheel_line_counts *")
-        self._memory = ffi.new("uint64_t[]", lib.wheel_line_size() // 8 + 1)
-        self.handle = ffi.cast("wheel_line *", self._memory)
-        lib.wheel_line_init(self.handle)
-        self.receive_for: Callable[[int, bytes, int], int | tuple[bytes, int]] = fast_call(
-            "receive", self.handle, self._memory
-        )
-        self.encode_for: Callable[[int], bytes] = fast_call("encode", self.handle, self._memory)
-        self.noise: Callable[[], int] = fast_call("noise", self.handle, self._memory)
+        self.handle = ffi.cast("wheel_line *", self.address)
         self._packed, self._used = ffi.new("uint8_t[]", _MOST_AT_ONCE + lib.WHEEL_LINE_OPEN), ffi.new("size_t *")
         self._received = ffi.buffer(self._packed)
         self._encoded = ffi.new("uint8_t[]", lib.WHEEL_LINE_GROWTH * _MOST_TO_SEND)

@@ -4,7 +4,7 @@
 their checks after every call, and the mutator that gets past CRC and COBS. An input that breaks a check is kept and
 named.
 
-The target ``python`` is what CPython calls of the library as its own. It needs CPython for that, and hypothesis makes
+The target ``python`` is the extension module. It needs CPython for that, and hypothesis makes
 the calls (``python_calls.py``). That is slower by far: it makes one sequence of calls for 10,000 runs.
 """
 

@@ -26,7 +26,7 @@ class CustomBuildHook(BuildHookInterface[Any]):
         return [ZIG_REQUIREMENT] if wants_zig() or _platform() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Build, and mark the wheel as one for a platform and every Python: no file depends on Python's version."""
+        """Build, and mark the wheel as one for a platform and Pythons from 3.11 on: the module is of the stable ABI."""
         sys.path.insert(0, self.root)
         try:
             from tools.build import native
@@ -40,7 +40,7 @@ class CustomBuildHook(BuildHookInterface[Any]):
             files = native.build_here()
             tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["pure_python"] = False
-        build_data["tag"] = f"py3-none-{tag}"
+        build_data["tag"] = f"cp311-abi3-{tag}"
         if version != "editable":  # there they are in the tree
             build_data["force_include"].update({str(file): place for file, place in files.items()})
 

@@ -31,7 +31,7 @@ _OF_THE_NODE = _of(
 )
 _OF_PARAMETERS = _of("firmware_protocol", "parameters", "stored_parameters")
 _OF_THE_CLIENT = _of("firmware_protocol", "client_frames", "client")
-_OF_CALLS = _of("firmware_protocol", "fast_calls", "fast_tuples")
+_OF_CALLS = _of("firmware_protocol", "wheel_module")
 _OF_FORCES = _of("plant_fmu", "plant_lifted", "plant_friction", "plant_slip", "plant_reference", "plant_equations")
 _OF_CALLS_OF_FMI = _of("plant_fmu", "fmi2_calls", "plant_state", "fmi3_calls", "fmu_calls")
 RULED = {
@@ -51,13 +51,11 @@ _NEAR = RULED | {
     "timing.c": (*_of("firmware_protocol", "wheel_timing"), *_of("robot", "latency", "freshness", "link_times")),
     "direct.c": (*_OF_CALLS, *_of("robot", "direct")),
     "host.c": _of("firmware_protocol", "node_feedback", "stored_parameters", "node", "plant_port", "client"),
-    "fast_calls.c": (*_OF_CALLS, *_of("robot", "direct"), *_OF_THE_CLIENT, *_of("wire", "statistics")),
-    "fast_model.c": (*_of("core", "model"), *_OF_CALLS),
-    "fast_rows.c": (*_OF_CALLS, *_of("runtime", "row", "tick_calls")),
-    "fast_tables.c": (*_OF_CALLS, *_of("laws", "afdsc_tables")),
-    "fast_terminal.c": _of("wire", "terminal", "pty_line", "serial_ports"),
-    "fast_timing.c": (*_of("wire", "statistics"), *_of("robot", "latency", "freshness"), *_OF_CALLS),
-    "fast_tuples.c": _of("firmware_protocol", "fast_tuples", "fast_calls", "codec", "framing"),
+    "module.c": (*_OF_CALLS, *_of("core", "model"), *_of("firmware_protocol", "codec", "framing")),
+    "session_types.c": (*_OF_CALLS, *_of("robot", "direct"), *_OF_THE_CLIENT),
+    "terminal.c": _of("wire", "terminal", "pty_line", "serial_ports"),
+    "timing_types.c": (*_of("wire", "statistics"), *_of("robot", "latency", "freshness"), *_OF_CALLS),
+    "value_types.c": (*_OF_CALLS, *_of("runtime", "row", "tick_calls"), *_of("laws", "afdsc_tables")),
     "remote.c": _of("plant", "plant_shim", "remote_plant"),
     "robot_faults.c": _of("robot", "robot_faults", "wiring", "reset_told", "robot_limits"),
     "windows.c": _of("plant", "window_stepper"),

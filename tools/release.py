@@ -27,7 +27,7 @@ from tools.build.native import WHEEL_TAGS
 ROOT = Path(__file__).parents[1]
 _FORMATS = {"linux": lief.ELF.Binary, "windows": lief.PE.Binary, "darwin": lief.MachO.Binary}
 EXPORTS = {
-    "libwheel_host": ("wheel_host_init", "wheel_client_poll", "wheel_python_begin", "built_from_sources"),
+    "_wheel": ("wheel_host_init", "wheel_client_poll", "PyInit__wheel", "built_from_sources"),
     "libcosim": ("cosim_start", "cosim_exchange", "built_from_sources"),
 }
 
@@ -52,14 +52,14 @@ def build(out: Path, platforms: tuple[str, ...] = tuple(WHEEL_TAGS)) -> list[Pat
 
 def faults(wheel: Path, platform: str) -> Iterator[str]:
     """Yield the errors of a wheel: its name, its libraries, or libraries of another platform."""
-    if not wheel.name.endswith(f"-py3-none-{WHEEL_TAGS[platform]}.whl"):
-        yield f"its name does not end in py3-none-{WHEEL_TAGS[platform]}"
+    if not wheel.name.endswith(f"-cp311-abi3-{WHEEL_TAGS[platform]}.whl"):
+        yield f"its name does not end in cp311-abi3-{WHEEL_TAGS[platform]}"
     machine, system = platform.split("-")
     with zipfile.ZipFile(wheel) as archive:
         libraries = {
-            name: archive.read(name) for name in archive.namelist() if name.endswith((".so", ".dll", ".dylib"))
+            name: archive.read(name) for name in archive.namelist() if name.endswith((".so", ".pyd", ".dll", ".dylib"))
         }
-    if {Path(name).stem for name in libraries} != EXPORTS.keys() or len(libraries) != len(EXPORTS):
+    if {_stem(name) for name in libraries} != EXPORTS.keys() or len(libraries) != len(EXPORTS):
         yield f"it has the libraries {', '.join(sorted(libraries))}"
     for name, content in libraries.items():
         parsed: Any = lief.parse(content)
@@ -71,7 +71,11 @@ def faults(wheel: Path, platform: str) -> Iterator[str]:
             yield f"{name} is for {found}"
         entries = parsed.abstract.exported_functions if system == "windows" else parsed.symbols
         exported = {str(one.name).removeprefix("_") for one in entries}
-        yield from (f"{name} does not export {one}" for one in EXPORTS.get(Path(name).stem, ()) if one not in exported)
+        yield from (f"{name} does not export {one}" for one in EXPORTS.get(_stem(name), ()) if one not in exported)
+
+
+def _stem(name: str) -> str:
+    return Path(name).name.partition(".")[0]
 
 
 def sbom(wheel: Path) -> dict[str, Any]:

@@ -17,9 +17,7 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.fast_tuples import Tuple, fields_of, tuple_constructor
-from firmware_protocol.host import library
+from firmware_protocol.extension import library, wheel
 from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, body_wrench
 from hil.core.model import RobotModel
@@ -88,13 +86,22 @@ class MotionLimits:
             ffi, _ = library()
         except BuildError as error:
             raise BadInputError(str(error)) from error
-        wheels = {"wheel_radius_m": self._model.wheel_radius_m, "lever_m": self._model.lever_m}
-        self._motion = ffi.new("wheel_motion *", {**wheels, "ahead_s": ahead_s, "lag_s": _LAG_S})
+        moves = wheel.Motion()
+        self._motion = ffi.cast("wheel_motion *", moves.address)
+        self._motion.wheel_radius_m, self._motion.lever_m = self._model.wheel_radius_m, self._model.lever_m
+        self._motion.ahead_s, self._motion.lag_s = ahead_s, _LAG_S
         self._motion.most_slip_rad_s = _SLIP_BEGIN * self._slip_rad_s
-        self.is_near: Callable[[Wheels, int, State, float, float], bool] = fast_call("add_motion", self._motion)
-        names = ("speed_rad_s", "coming_rad_s", "slip_rad_s", "coming_slip_rad_s")
-        four = [Tuple(Wheels, fields_of(ffi, self._motion, name)) for name in names]
-        self._seen = tuple_constructor(Tuple(_Seen, (*four, *fields_of(ffi, self._motion, "steps"))), self._motion)
+        self.is_near: Callable[[Wheels, int, State, float, float], bool] = moves.add
+
+    def _seen(self) -> _Seen:
+        motion = self._motion
+        return _Seen(
+            Wheels(*motion.speed_rad_s),
+            Wheels(*motion.coming_rad_s),
+            Wheels(*motion.slip_rad_s),
+            Wheels(*motion.coming_slip_rad_s),
+            motion.steps,
+        )
 
     @property
     def acts(self) -> bool:
@@ -140,7 +147,7 @@ class MotionLimits:
 
     def faded(self, torque: Wheels) -> Wheels:
         """Return the torques [N·m] of a command by the newest ``is_near``; the same object if none is to be faded."""
-        seen: _Seen = self._seen()
+        seen = self._seen()
         torque = _times(torque, seen.speed, self._give(torque, seen))
         if self._slip_rad_s < math.inf:
             torque = self._fade_slip(torque, seen)

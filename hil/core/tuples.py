@@ -1,26 +1,25 @@
-"""Makes the named tuples of a tick in the host library: a reference in an eighth of the time of calling its classes.
+"""Makes the named tuples of a tick in C: a reference in an eighth of the time of calling its classes.
 
-It is only for tuples that are made in each tick; elsewhere call the class. If the library cannot be loaded, each
-call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
+It is only for tuples that are made in each tick; elsewhere call the class. If the extension module cannot be loaded,
+each call raises BadInputError with the reason: what needs no run, such as ``hil doctor``, works without it.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.fast_tuples import Argument, Object, Tuple, tuple_constructor
+from firmware_protocol.extension import wheel
 from hil.core.errors import BadInputError
 from hil.core.signals import LoopSignals
 from hil.core.types import (
     ZERO_WHEELS,
     Acceleration,
-    Applied,
     Axes,
     CommandMode,
     FourWheels,
     Pairs,
     Pose,
+    PoseFix,
     Reference,
     State,
     Twist,
@@ -28,55 +27,44 @@ from hil.core.types import (
     Wheels,
 )
 
-_Kind = TypeVar("_Kind")
+_CLASSES = (Pose, Twist, Acceleration, Reference, PoseFix, State, Wheels, WheelCommand, LoopSignals)
 
 
-def _constructor(what: Tuple) -> Callable[..., Any]:
+class _Refusing:
+    def __init__(self, reason: str) -> None:
+        self._reason = reason
+
+    def __getattr__(self, _name: str) -> Callable[..., Any]:
+        def refuse(*_values: object) -> Any:
+            raise BadInputError(self._reason)
+
+        return refuse
+
+
+def _tuples() -> Any:
     try:
-        return tuple_constructor(what)
+        return wheel.Tuples(*_CLASSES, CommandMode.SPEED, CommandMode.TORQUE, ZERO_WHEELS)
     except BuildError as error:
-        return _refusing(str(error))
+        return _Refusing(str(error))
 
 
-def _refusing(reason: str) -> Callable[..., Any]:
-    def refuse(*_values: object) -> Any:
-        raise BadInputError(reason)
-
-    return refuse
-
-
-def _function(name: str) -> Callable[..., Any]:
-    try:
-        return fast_call(name)
-    except BuildError as error:
-        return _refusing(str(error))
-
-
-def constructor_of(kind: type[_Kind]) -> Callable[..., _Kind]:
-    """Return a function that makes named tuples of a class, of a value for each field in their order."""
-    return _constructor(Tuple(kind, (Argument(),) * len(kind._fields)))  # type: ignore[attr-defined]
-
-
-_THREE, _FOUR = (Argument(),) * 3, (Argument(),) * 4
-_MOTION = Tuple(Reference, (Tuple(Pose, _THREE), Tuple(Twist, _THREE), Tuple(Acceleration, _THREE)))
-_SPEED = Tuple(WheelCommand, (Object(CommandMode.SPEED), Tuple(Wheels, _FOUR), Tuple(Wheels, _FOUR)))
-_TORQUE = Tuple(WheelCommand, (Object(CommandMode.TORQUE), Object(ZERO_WHEELS), Tuple(Wheels, _FOUR)))
-
-make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = constructor_of(LoopSignals)
-make_wheels: Callable[[float, float, float, float], Wheels] = constructor_of(Wheels)
-make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = constructor_of(WheelCommand)
-make_state: Callable[[Pose, Twist], State] = constructor_of(State)
-make_applied: Callable[[WheelCommand, bool, float], Applied] = constructor_of(Applied)
-make_reference: Callable[..., Reference] = _constructor(_MOTION)
+_made = _tuples()
+make_loop_signals: Callable[[float, int, float, float, int], LoopSignals] = _made.loop_signals
+make_wheels: Callable[[float, float, float, float], Wheels] = _made.wheels
+make_command: Callable[[CommandMode, Wheels, Wheels], WheelCommand] = _made.command
+make_state: Callable[[Pose, Twist], State] = _made.state
+make_pose_fix: Callable[[Any], PoseFix] = _made.pose_fix
+"""Of memory: the time [ns] in an int of 64 bits, and six doubles, x, y, heading and their rates."""
+make_reference: Callable[..., Reference] = _made.reference
 """Of nine numbers: x, y, heading; their rates; their accelerations."""
-make_speed_command: Callable[..., WheelCommand] = _constructor(_SPEED)
+make_speed_command: Callable[..., WheelCommand] = _made.speed_command
 """Of eight numbers: the four speeds [rad/s], and the torques [N·m] as feedforward."""
-make_torque_command: Callable[[float, float, float, float], WheelCommand] = _constructor(_TORQUE)
-difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = _function("difference")
+make_torque_command: Callable[[float, float, float, float], WheelCommand] = _made.torque_command
+difference: Callable[[State, Reference], tuple[Pairs, float, Twist, Twist]] = wheel.difference
 """Return state minus reference, with the heading in [-π, π]; the heading; the reference's twist, and the state's."""
-wheel_torques: Callable[[Axes, tuple[float, float], Axes, Axes, float], FourWheels] = _function("wheel_torques")
-"""Return ``RobotModel.wheel_torques`` without friction: of m + k, k and I + k L²; r and L; the rest as there."""
-is_finite: Callable[[State], bool] = _function("finite")
+is_finite: Callable[[State], bool] = wheel.is_finite
 """Return whether all six numbers of a pose and its twist are finite."""
-is_within: Callable[[FourWheels, float], bool] = _function("within")
+is_within: Callable[[FourWheels, float], bool] = wheel.is_within
 """Return whether every wheel is from minus the limit to the limit. NaN is not."""
+wheel_torques: Callable[[Axes, tuple[float, float], Axes, Axes, float], FourWheels] = wheel.wheel_torques
+"""Return ``RobotModel.wheel_torques`` without friction: of m + k, k and I + k L²; r and L; the rest as there."""

@@ -7,12 +7,13 @@ weighted average equals bilinear interpolation in the table of outputs, and that
 The paper's text does not give the ranges of the inputs: they are parameters.
 """
 
+import itertools
+from array import array
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_tables import Table
-from firmware_protocol.fast_tables import Tables as HostTables
+from firmware_protocol.extension import wheel
 from hil.core.errors import BadInputError
 from hil.core.model import RobotModel
 from hil.core.options import Range
@@ -63,10 +64,10 @@ class FuzzyBlock:
     k2_1_s: tuple[float, ...]
 
     @property
-    def table(self) -> Table:
-        """The block as a table: 2 cells are a range. In each cell K = a + b p + c q + d p q, p and q from 0 to 4."""
+    def table(self) -> tuple[float, ...]:
+        """The numbers of ``wheel.Tables``: 2 cells are a range; in each K = a + b p + c q + d p q, p and q 0 to 4."""
         cells = [(*_cell(self.k1_1_s, i, j), *_cell(self.k2_1_s, i, j)) for j in range(4) for i in range(4)]
-        return (2.0 / self.error_range, 2.0 / self.rate_range), cells
+        return (2.0 / self.error_range, 2.0 / self.rate_range, *itertools.chain(*cells))
 
     @classmethod
     def from_tables(cls, tables: Tables, error_range: float, rate_range: float) -> "FuzzyBlock":
@@ -115,7 +116,7 @@ class FuzzyGains:
 
     def __init__(self, *blocks: FuzzyBlock) -> None:
         try:
-            tables = HostTables([block.table for block in blocks])
+            tables = wheel.Tables(array("d", itertools.chain(*(block.table for block in blocks))).tobytes())
         except BuildError as error:
             raise BadInputError(str(error)) from error
         self.at, self.firing = tables.look_up, tables.nearest

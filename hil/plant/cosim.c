@@ -231,6 +231,7 @@ static int64_t whole(double count) {
 
 int cosim_start(cosim *c) {
     c->ticks = 0;
+    c->time_ns = 0;
     c->failed = 0;
     c->text[0] = '\0';
     c->text_status = 0;
@@ -262,7 +263,7 @@ int cosim_exchange(void *context, const wheel_drive *drive, wheel_sense *sense) 
         if (is_between_steps(c) && begin_step(c, drive) != 0) {
             return 1;
         }
-        c->ticks++;
+        c->time_ns = ++c->ticks * c->tick_ns;
         if (is_between_steps(c)) {
             show(c);
         }

@@ -117,6 +117,7 @@ typedef struct {
     int fatal;                        /* the FMU said that nothing of it may be called any more */
     double input_value[COSIM_INPUTS]; /* the newest inputs, by wheel */
     double fresh[COSIM_SIGNALS];      /* the outputs at the end of the newest step */
+    uint64_t time_ns;                 /* since the start; pose and twist follow it in memory */
     double signal[COSIM_SIGNALS];     /* the outputs that show */
     cosim_winding winding[5];         /* heading, wheel angles */
     char text[512];                   /* the FMU's words since the last good exchange, or why that failed */

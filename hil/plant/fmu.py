@@ -5,13 +5,11 @@ their addresses, with one C call per tick. A step through FMPy's own methods tak
 """
 
 import contextlib
-import functools
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.plant_signals import OUTPUTS, SENSORS
@@ -53,9 +51,8 @@ class FmuPlant(shim.PlantPort):
         self._context = self._ffi.new("cosim *", {"tick_ns": tick_ns, "prints_log": prints_log})
         # Looked up once: a look-up takes longer than a call.
         self._run = self._lib.cosim_run
-        field = functools.partial(fields_of, self._ffi, self._context)
-        (ticks,), pose = field("ticks"), field("signal", self._lib.COSIM_POSE, 3)
-        self._read_truth(ticks._replace(factor=tick_ns), pose, field("signal", self._lib.COSIM_TWIST, 3))
+        assert (self._lib.COSIM_POSE, self._lib.COSIM_TWIST) == (0, 3)
+        self._read_truth(self._ffi.addressof(self._context, "time_ns"))
         self._torque = self._ffi.new("float[4]")
         self._speeds = self._context.signal + self._lib.COSIM_WHEEL_SPEED
         self.wire((0, 1, 2, 3), (1, 1, 1, 1))

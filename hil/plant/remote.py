@@ -6,7 +6,6 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-from firmware_protocol.fast_tuples import fields_of
 from hil.core.clock import TICK_NS
 from hil.core.errors import BadInputError, DeviceError
 from hil.core.scratch import scratch_folder
@@ -50,9 +49,7 @@ class RemotePlant(shim.PlantPort):
         self._config = {"fmu": str(fmu.absolute()), "start": dict(start), "mapping": asdict(mapping)}
         self._ffi, self._lib = shim.load()
         self._context = self._ffi.new("remote_plant *")
-        field = partial(fields_of, self._ffi, self._ffi.addressof(self._context, "newest"))
-        (time_ns,) = field("time_ns")
-        self._read_truth(time_ns, field("pose"), field("twist"))
+        self._read_truth(self._ffi.addressof(self._context.newest, "time_ns"))
         self._wiring: tuple[Sequence[int], Sequence[int]] = ((0, 1, 2, 3), (1, 1, 1, 1))
         self._closed = False
         self.output = ChildOutput()

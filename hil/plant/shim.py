@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_tuples import Number, Tuple, tuple_constructor
-from firmware_protocol.host import Loaded, load_library
+from firmware_protocol.extension import Loaded, load_library
 from hil.core.errors import BadInputError, DeviceError, nearest
 from hil.core.plant_signals import INPUTS, OUTPUTS
-from hil.core.types import Pose, PoseFix, Twist, Wheels
+from hil.core.tuples import make_pose_fix
+from hil.core.types import PoseFix, Wheels
 from hil.plant.built import COSIM, HEADERS
 from hil.plant.child_output import ChildOutput
 from hil.plant.mapping import Connection, Wiring
@@ -52,8 +52,8 @@ class PlantPort(ABC):
     The addresses hold as long as the object lives; the functions fail after ``close``. A context manager.
 
     Attributes:
-        settable: the variables that may be set between two ticks, by name.
         truth: returns pose and twist, world frame, with the time since the start.
+        settable: the variables that may be set between two ticks, by name.
         output: what the plant's own process prints; None for a plant in this process.
         lacks: the sensors (keys of ``plant_signals.SENSORS``) that the FMU does not have.
         notices: remarks for the user on how the FMU is used.
@@ -62,8 +62,8 @@ class PlantPort(ABC):
     _functions: ClassVar[str]
     """With what the names of the shim's functions begin."""
     _context: Any
-    settable: Mapping[str, Settable]
     truth: Callable[[], PoseFix]
+    settable: Mapping[str, Settable]
     output: ChildOutput | None = None
     lacks: frozenset[str]
     notices: tuple[str, ...]
@@ -83,9 +83,9 @@ class PlantPort(ABC):
         """Address of the context of both functions."""
         return int(load()[0].cast("uintptr_t", self._context))
 
-    def _read_truth(self, time_ns: Number, pose: tuple[Number, ...], twist: tuple[Number, ...]) -> None:
-        motion = Tuple(Pose, pose), Tuple(Twist, twist)
-        self.truth = tuple_constructor(Tuple(PoseFix, (time_ns, *motion)), self._context)
+    def _read_truth(self, time_ns: Any) -> None:
+        """Set where in memory the time is, an integer of 64 bits; the six doubles of pose and twist are behind it."""
+        self.truth = functools.partial(make_pose_fix, load()[0].buffer(time_ns, 7 * 8))
 
     def set_variable(self, name: str, value: float) -> None:
         """Set a tunable parameter or free input, from the next tick on.

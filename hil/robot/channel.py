@@ -5,23 +5,17 @@
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from firmware_protocol.client import Client
 from firmware_protocol.codec import Message, decode
-from firmware_protocol.fast_tuples import Choice, Kept, Tuple, fields_of, tuple_constructor
 from firmware_protocol.framing import packed_frame
-from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from firmware_protocol.host_line import packed_of
 from hil.core.errors import RobotStoppedError
 from hil.core.ports import Received
-from hil.core.types import Wheels
 from hil.robot.direct import DirectLink
 from hil.robot.handshake import RETRY_NS, SILENCE_NS
 from hil.robot.link_times import RoundTrip
-from hil.robot.snapshot import Feedback
 from hil.wire.conditions import ConditionedLink
 from hil.wire.framed import StreamLink
 
@@ -36,7 +30,6 @@ class Channel:
     ``on_message`` gets every message that is not part of a snapshot, with its time of arrival.
 
     Attributes:
-        feedback: returns the newest snapshot; None before the first, and after a loss until the next.
         is_carried: whether the next step carries waiting frames, so that ``flush`` is not needed.
     """
 
@@ -46,7 +39,6 @@ class Channel:
         self._link = link
         self._client = client
         self._on_message = on_message
-        self.feedback = feedback_reader(client)
         self._round_trips_seen = 0
         self._round_trip = RoundTrip()
 
@@ -234,28 +226,3 @@ def open_channel(link: ConditionedLink, client: Client, on_message: Callable[[Me
     elif isinstance(link.transport, StreamLink) and link.is_plain:
         kind = LineChannel
     return kind(link, client, on_message)
-
-
-def feedback_reader(client: Client) -> Callable[[], Feedback | None]:
-    """Return a function that returns the newest snapshot of a client, None before the first."""
-    ffi, view = library()[0], client.view
-    field = partial(fields_of, ffi, view)
-    (time,), (state,), (given,) = field("robot_time_us"), field("state"), field("has_feedback")
-    return tuple_constructor(
-        Tuple(
-            Feedback,
-            (
-                time._replace(factor=1000),
-                Choice(state.address, tuple(m.State)),
-                *field("command_sequence"),
-                *field("command_age_ms"),
-                Tuple(None, field("encoder_count")),
-                Tuple(Wheels, field("speed_rad_s")),
-                Kept(Tuple(Wheels, field("current_a"))),  # these come at a lower rate
-                Kept(Tuple(None, field("acceleration_m_s2"))),
-                *field("yaw_rate_rad_s"),
-            ),
-        ),
-        client,
-        given,
-    )

@@ -6,17 +6,15 @@ from collections.abc import Callable
 from typing import Protocol, cast
 
 from firmware_protocol.client import MOST_TICKS, Client
-from firmware_protocol.fast_calls import fast_call
+from firmware_protocol.extension import library, wheel
 from firmware_protocol.framing import PACKED_HEADERS, Frame, unsendable
-from firmware_protocol.host import HostNode, library
+from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine, PackedFrames
 from hil.core.ports import Link, Received
 from hil.robot.virtual import VirtualStm32
 from hil.wire.framed import StreamLink
 from hil.wire.link import Line
 from hil.wire.streams import DirectStream, closed
-
-_NO_CLIENT = 0
 
 
 class DirectTruth:
@@ -65,29 +63,23 @@ class DirectLink:
         byte_counts: returns the bytes sent and received since ``begin_byte_counts``.
     """
 
-    _client: Client
-
     def __init__(self, robot: LibraryRobot, stream: DirectStream, *, may_hang: bool = True) -> None:
         ffi, _ = library()
         self._robot = robot
         self._stream = stream
-        self._there = HostLine()
-        self._direct = ffi.new("wheel_direct *", {"there": self._there.handle, "may_hang": may_hang})
+        self._line = wheel.Direct(HostLine(), may_hang)
+        self._direct = ffi.cast("wheel_direct *", self._line.address)
+        self.crossed, self.byte_counts = self._line.crossed, self._line.line_bytes
         self.answer = ffi.buffer(self._direct.answer)
         self._earlier: Counter[str] = Counter()  # rejected before the link was reopened
         self._begin_line()
-        self._view = self._direct.waiting = ffi.new("wheel_view *")  # of no client: nothing waits
+        self._view = ffi.new("wheel_view *")  # of no client: nothing waits
         self._is_open = True
-        self._step: Callable[[int, int, int, int], bool] = fast_call("step", self._direct)
-        self._hold: Callable[[int, bytes], int] = fast_call("hold", self._direct)
-        self._exchange: Callable[[int, int, int], bytes | None] = fast_call("exchange", self._direct)
-        self.crossed: Callable[[], tuple[bytes, int, bytes, int]] = fast_call("crossed", self._direct)
-        self.byte_counts: Callable[[], tuple[float, float]] = fast_call("line_bytes", self._direct)
         self.now_ns: Callable[[], int] = time.monotonic_ns
 
     def _begin_line(self) -> None:
         self._here = HostLine()
-        self._direct.here = self._here.handle
+        self._line.listen(self._here)
 
     def send(self, frame: Frame) -> None:
         number, payload = frame
@@ -99,18 +91,18 @@ class DirectLink:
     def send_packed(self, frames: PackedFrames) -> None:
         if not self._is_open:
             raise closed()
-        self._hold(self._robot.node.address, frames.packed)
+        self._line.hold(self._robot.node, frames.packed)
 
     def receive(self, _timeout_ns: int) -> Received | None:
         if not self._is_open or not self._direct.held_bytes:
             return None
-        answer = self._exchange(self._robot.node.address, _NO_CLIENT, 0)
+        answer = self._line.exchange(self._robot.node, None)
         return Received(PackedFrames(answer), self.now_ns()) if answer else None
 
     def serve(self, client: Client) -> None:
         """Set the client whose frames ``step`` and ``exchange`` send."""
-        self._client = client
-        self._view = self._direct.waiting = client.view
+        self._line.serve(client)
+        self._view = client.view
 
     def exchange(self, ticks: int) -> PackedFrames:
         """Send what waits in the client, and a STEP; return all that the robot then sends.
@@ -119,7 +111,7 @@ class DirectLink:
         """
         if not self._is_open:
             raise closed()
-        answer = self._exchange(self._robot.node.address, self._client.address, ticks)
+        answer = self._line.exchange(self._robot.node, ticks)
         if answer is None:
             raise _unsendable_step(ticks)
         return PackedFrames(answer)
@@ -132,9 +124,8 @@ class DirectLink:
         """
         if not self._is_open:
             raise closed()
-        read_ns, step = self.now_ns, self._step
-        now_ns = read_ns()
-        if step(self._robot.node.address, self._client.address, ticks, now_ns):
+        now_ns = self.now_ns()
+        if self._line.step(self._robot.node, ticks, now_ns):
             return None
         direct = self._direct
         if not direct.stepped_bytes:  # the client refused it: a step that was made is never empty

@@ -6,16 +6,14 @@ the link are therefore included, like those of a real link.
 
 import statistics
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.host import library
+from firmware_protocol.extension import library, wheel
 from hil.core.percentiles import Reservoir
-from hil.core.types import NAN
-from hil.robot.snapshot import Feedback
+from hil.core.types import NAN, Applied
 
 SYNC_PERIOD_NS = 250_000_000  # PROTOCOL.md, "Time": 4 Hz
 _STAGES = 8
@@ -45,7 +43,7 @@ class RoundTrip:
         return {**_percentiles(self._all_ms), "count": len(self._all_ms)}
 
 
-class CommandLatency:
+class CommandLatency(wheel.Latency):
     """Latency of commands: from the sampling instant of the feedback to the first firmware tick that uses the command.
 
     A TICK reports which command is applied and how old it is (TICK.sequence, TICK.command_age_ms), and the host knows
@@ -53,25 +51,16 @@ class CommandLatency:
     The resolution is the firmware's 1 ms. ``s`` is the median of the last 33 commands, so that single delayed commands
     do not matter; before 9 were seen it is ``configured_s``. Values that are negative or longer than ``longest_ns``
     (the age at which a command is too old to be applied) are ignored.
-
-    Attributes:
-        measure: takes feedback, the sequence number of the command that is based on it, and the robot time at which its
-            state was sampled [ns]; notes both, and returns ``s``. Raises BuildError without the host library.
+    Raises BuildError without the extension module.
     """
 
     def __init__(self, configured_s: float, longest_ns: int) -> None:
-        ffi, self._lib = library()
-        self._latency = ffi.new("wheel_latency *")
-        self._lib.wheel_latency_init(self._latency, configured_s, longest_ns)
-        self.measure: Callable[[Feedback, int, int], float] = fast_call("measure_latency", self._latency)
-
-    @property
-    def s(self) -> float:
-        return float(self._latency.median_s)
+        super().__init__(configured_s, longest_ns, Applied)
 
     def restart(self) -> None:
         """Start a new session, in which the robot's clock may have restarted. ``s`` keeps its value."""
-        self._lib.wheel_latency_restart(self._latency)
+        ffi, lib = library()
+        lib.wheel_latency_restart(ffi.cast("wheel_latency *", self.address))
 
 
 class Exchange(NamedTuple):

@@ -17,7 +17,7 @@ from firmware_protocol.generated import messages as m
 from firmware_protocol.host_line import packed_of
 from hil.core.errors import BadInputError, DeviceError, HilError, RobotStoppedError
 from hil.core.ports import Clock
-from hil.core.types import CommandMode, WheelCommand
+from hil.core.types import CommandMode, WheelCommand, Wheels
 from hil.core.wheel_map import ImuMount, WheelMap
 from hil.robot import handshake
 from hil.robot.channel import open_channel
@@ -58,16 +58,16 @@ class Stm32(Device):
         self._nonces = nonces
         self._now_ns: Callable[[], int] = _no_time
         try:
-            self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces))
+            self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces), Feedback, Wheels)
         except BuildError as error:
             raise BadInputError(str(error)) from error
         self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
         self.link_figures = self._client.link_figures
         self._channel = channel = open_channel(link, self._client, self._on_message)
         self.step = channel.step
-        self._feedback = (
-            channel.feedback if imu is None or imu.is_identity else partial(_mounted, channel.feedback, imu)
-        )
+        self._feedback: Callable[[], Feedback | None] = self._client.feedback
+        if imu is not None and not imu.is_identity:
+            self._feedback = partial(_mounted, self._client.feedback, imu)
         self._greeting: Greeting | None = None
         self._info: RobotInfo | None = None
         self._is_accepted = False  # since the link was opened, or lost
@@ -215,8 +215,8 @@ class Stm32(Device):
         clock, read_feedback = self._clock, self._feedback
         if self._is_lockstep:
             if clock is not None:
-                now_ns, add_due = clock.now_ns(), self._client.poll
-                if add_due(now_ns):
+                now_ns = clock.now_ns()
+                if self._client.poll(now_ns):
                     self._channel.flush()
                 if now_ns >= self._next_sync_ns:
                     self._synchronise(now_ns)
@@ -235,8 +235,7 @@ class Stm32(Device):
 
     def send(self, command: WheelCommand) -> int:
         _, speed_rad_s, torque_n_m = command
-        encode, now_ns = self._client.command, self._now_ns
-        sequence = encode(speed_rad_s, torque_n_m, now_ns())
+        sequence = self._client.command(speed_rad_s, torque_n_m, self._now_ns())
         if sequence < 0:
             sequence = self._send_behind_the_rest(command)
         if not self._channel.is_carried:

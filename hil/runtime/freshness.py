@@ -3,12 +3,10 @@
 ``client/wheel_timing.h`` has the rules; this gives them the device's feedback, and says for a person what is wrong.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from firmware_protocol.fast_calls import fast_call
+from firmware_protocol.extension import library, wheel
 from firmware_protocol.generated.messages import State as RobotState
-from firmware_protocol.host import library
 from hil.core.errors import HilError, LinkError, RobotLatchedError, RobotStoppedError
 from hil.core.ports import Clock
 from hil.core.types import PoseFix
@@ -26,7 +24,7 @@ _CLOCKS_APART_NS = 50_000_000
 _CLOCK_SHARE = 50
 
 
-class Freshness:
+class Freshness(wheel.Freshness):
     """Reads the robot's feedback once a tick, and notes the truth if the state estimate uses it.
 
     Attributes, as of the last ``poll``:
@@ -37,19 +35,15 @@ class Freshness:
     """
 
     def __init__(self, clock: Clock, device: Device, faults: "SignalFaults | None", timing: Timing) -> None:
+        super().__init__(timing.stale_ns)
         ffi, self._lib = library()
+        self._ages = ffi.cast("wheel_freshness *", self.address)
         self._clock = clock
         self._device = device
         self._is_lockstep = device.is_lockstep
         self._faults = faults
         self._timing = timing
         self._stale_ns = timing.stale_ns
-        self._ages = ffi.new("wheel_freshness *", {"stale_ns": timing.stale_ns})
-        self._has_aged: Callable[[int], bool] = fast_call("has_aged", self._ages)
-        self._add: Callable[..., tuple[int, int, int | None, bool]] = fast_call("add_feedback", self._ages)
-        self.silent_ns = 0
-        self.truth_ns: int | None = None
-        self.is_stale = False
 
     def poll(self, t_s: float, truth: PoseFix | None = None, active: bool = True) -> Feedback:
         """Return the newest feedback. ``t_s`` is the tick's time, for messages.
@@ -65,12 +59,8 @@ class Freshness:
             raise RobotStoppedError("the robot sends no feedback")
         if self._faults is not None:
             feedback = self._faults.feedback(feedback)
-        add = self._add
-        result, self.silent_ns, self.truth_ns, self.is_stale = add(
-            feedback, truth, age_ns, self._clock.now_ns(), active
-        )
-        if result:
-            raise self._problem(result, feedback.state, age_ns, t_s, active)
+        if wrong := self.add(feedback, truth, age_ns, self._clock.now_ns(), active):
+            raise self._problem(wrong, feedback.state, age_ns, t_s, active)
         return feedback
 
     def _problem(self, result: int, state: RobotState, age_ns: int, t_s: float, active: bool) -> HilError:
@@ -108,10 +98,9 @@ class Freshness:
         """Whether the feedback itself is too old to drive by."""
         return self.silent_ns > self._stale_ns
 
-    def has_aged(self) -> bool:
+    def truth_has_aged(self) -> bool:
         """Real time: whether the truth has become too old since ``poll``, because this process stalled."""
-        # The library asks for a truth too; where none is used, this saves reading the clock in each tick.
-        return self.truth_ns is not None and self._has_aged(self._clock.now_ns())
+        return self.has_aged(self._clock.now_ns())
 
     def restart(self) -> bool:
         """Start again with a robot that came back; return whether it was reset.
@@ -119,9 +108,7 @@ class Freshness:
         After a reset its clock and its encoder counts start again from zero.
         """
         was_reset = self._was_reset()
-        self._lib.wheel_freshness_restart(self._ages, was_reset)
-        if was_reset:
-            self.truth_ns = None
+        self.begin_again(was_reset)
         return was_reset
 
     def _was_reset(self) -> bool:

@@ -94,7 +94,7 @@ def properties(scenario: "Scenario", made_of: Mapping[str, str] | None = None) -
 
 
 def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
-    from firmware_protocol import host
+    from firmware_protocol import extension
     from firmware_protocol.built import BuildError
     from hil.plant import archive, shim
     from hil.wire.url import parse_link
@@ -103,10 +103,10 @@ def _plant_and_libraries(scenario: "Scenario") -> dict[str, str | None]:
     found: dict[str, str | None] = {}
     if has_robot or not scenario.device.is_makers:
         try:
-            found["wheel_host_sha256"] = host.loaded().sha256
+            found["wheel_host_sha256"] = extension.loaded().sha256
         except BuildError as error:
             raise BadInputError(str(error)) from error
-        found["wheel_host_sources_sha256"] = host.loaded().sources_sha256
+        found["wheel_host_sources_sha256"] = extension.loaded().sources_sha256
     if has_robot:
         found["fmu_sha256"] = archive.sha256(archive.locate(scenario.plant.fmu, scenario.directory))
         found |= {"cosim_sha256": shim.loaded().sha256, "cosim_sources_sha256": shim.loaded().sources_sha256}

@@ -1,9 +1,10 @@
 """The row of a tick: one number for each signal, for the recording and for the judge."""
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from firmware_protocol.fast_calls import Objects, RowLayout, Scaled
+from firmware_protocol.extension import wheel
 from hil.core.ports import Controller, OwnSignals, Sink
 from hil.core.signals import SIGNAL_NAMES, EstimatorSignals, LoopSignals
 from hil.core.types import (
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from hil.runtime.signal_faults import SignalFaults
 
 _NO_STATE = State(NAN_POSE, Twist(NAN, NAN, NAN))
-_NO_FIX = (NAN, NAN_POSE, NAN)
-_NO_FEEDBACK = (NAN, NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
+_NO_FIX: Any = (NAN, NAN_POSE, NAN)
+_NO_FEEDBACK: Any = (NAN, NAN, NAN, NAN, NAN, NAN_WHEELS, NAN_WHEELS, (NAN, NAN, NAN), NAN)
 _REJECTED_EVERY = 100  # ticks; the sum over all causes is too slow for every tick
 
 
@@ -45,39 +46,46 @@ DIFFERENCE_SIGNALS = (*_TRUTH, *_REFERENCE[:3], *_ERROR)
 """What every row has: the true pose, the reference's, and their difference."""
 
 
-class _Row(NamedTuple):
-    """The arguments of ``RowLayout.row``, in their order: of each the signals, or their columns."""
+class Scaled(NamedTuple):
+    """A signal that is a number times ``unit``."""
 
-    tick: Any
-    reference: Any
-    state: Any
-    truth: Any
-    applied: Any
-    feedback: Any
-    estimator: Any
-    is_held: Any
-    feedback_age_ns: Any
-    standing: Any
+    name: str
+    unit: float
 
 
-class _Standing(NamedTuple):
-    """Gains, link statistics and the like, which parts of the run keep between ticks; only recorded rows have them."""
-
-    gains: Any
-    health: Any
-    link: Any
-    byte_counts: Any
-    load_percent: Any
-    rejected: Any
-    clock_offset_us: Any
-    clock_drift_ppm: Any
-    extra: Any
+Objects = tuple["str | Scaled | Objects | None", ...]
+"""Which signal each member of a tuple is: a name, another tuple, or None for what is left out."""
 
 
 def _columns(kind: type[NamedTuple], **columns: Objects | str | Scaled) -> Objects:
     """Return the columns of a tuple's members in the order of its fields, None for a member that is not named."""
     assert columns.keys() <= set(kind._fields), columns
     return tuple(columns.get(name) for name in kind._fields)
+
+
+def row_of(names: Sequence[str], objects: "Mapping[str, str | Scaled | Objects]", first: Sequence[str]) -> wheel.Row:
+    """Return what makes rows of the signals ``names``, in their order, of named objects (``wheel.Row.make``).
+
+    ``objects`` says which signal each number of an object is. A name that is not among ``names`` is left out, and so is
+    a tuple of such names, which may be None then. ``first`` names three signals, each the first of a group: two poses
+    (x, y, heading), and their difference (x, y, heading in [-π, π], distance). Raises BuildError without the extension
+    module.
+    """
+    places, units = {name: place for place, name in enumerate(names)}, array("d", [1.0]) * len(names)
+
+    def place_of(one: str | Scaled | Objects | None) -> Any:
+        if isinstance(one, Scaled):
+            if one.name in places:
+                units[places[one.name]] = one.unit
+            return places.get(one.name, -1)
+        if one is None or isinstance(one, str):
+            return places.get(one or "", -1)
+        inner = tuple(map(place_of, one))
+        return -1 if set(inner) <= {-1} else inner
+
+    found = tuple(map(place_of, objects.values()))
+    pose, other, difference = (places[name] for name in first)
+    return wheel.Row(tuple(objects), found, units.tobytes(), (pose, other, difference))
 
 
 class RowWriter:
@@ -110,31 +118,29 @@ class RowWriter:
         commands = {"torque_n_m": _wheels("torque_command_n_m")}
         if mode is CommandMode.SPEED:
             commands["speed_rad_s"] = _wheels("speed_command_rad_s")
-        standing = _columns(
-            _Standing,
-            gains=_group("gain"),
-            health=("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
-            link=("link.sent", "link.received", "link.lost", "link.rtt_ms"),
-            byte_counts=("link.sent_bytes", "link.received_bytes"),
-            load_percent="link.load_percent",
-            rejected="link.rejected",
-            clock_offset_us="link.clock_offset_us",
-            clock_drift_ppm="link.clock_drift_ppm",
-            extra=tuple(own.signals for own in extra),
-        )
-        objects = _columns(
-            _Row,
-            tick=_group("loop"),
-            reference=_columns(Reference, pose=_REFERENCE[:3], twist=_REFERENCE[3:6], acceleration=_REFERENCE[6:]),
-            state=_columns(State, pose=_group("pose"), twist=_group("twist")),
-            truth=_columns(PoseFix, pose=_TRUTH),
-            applied=_columns(
+        standing: dict[str, str | Scaled | Objects] = {
+            "gains": _group("gain"),
+            "health": ("battery.voltage_v", "battery.current_a", _wheels("temperature_degc")),
+            "link": ("link.sent", "link.received", "link.lost", "link.rtt_ms"),
+            "byte_counts": ("link.sent_bytes", "link.received_bytes"),
+            "load_percent": "link.load_percent",
+            "rejected": "link.rejected",
+            "clock_offset_us": "link.clock_offset_us",
+            "clock_drift_ppm": "link.clock_drift_ppm",
+            "extra": tuple(own.signals for own in extra),
+        }
+        objects: dict[str, str | Scaled | Objects] = {
+            "tick": _group("loop"),
+            "reference": _columns(Reference, pose=_REFERENCE[:3], twist=_REFERENCE[3:6], acceleration=_REFERENCE[6:]),
+            "state": _columns(State, pose=_group("pose"), twist=_group("twist")),
+            "truth": _columns(PoseFix, pose=_TRUTH),
+            "applied": _columns(
                 Applied,
                 command=_columns(WheelCommand, **commands),
                 saturated="guard.saturated",
                 latency_s=Scaled("link.latency_ms", 1e3),
             ),
-            feedback=_columns(
+            "feedback": _columns(
                 Feedback,
                 robot_time_ns=Scaled("robot.time_s", 1e-9),
                 state="robot.state",
@@ -144,14 +150,12 @@ class RowWriter:
                 acceleration_m_s2=tuple(f"robot.acceleration_{axis}_m_s2" for axis in "xyz"),
                 yaw_rate_rad_s="robot.yaw_rate_rad_s",
             ),
-            estimator=_group("estimator"),
-            is_held="guard.held",
-            feedback_age_ns=Scaled("link.feedback_age_ms", 1e-6),
-            standing=standing,
-        )
-        self._layout = RowLayout(names, objects, ("truth.x_m", "reference.x_m", "error.x_m"))
-        self._row = self._layout.row
-        self._has_standing = not _names_in(standing).isdisjoint(names)
+            "estimator": _group("estimator"),
+            "is_held": "guard.held",
+            "feedback_age_ns": Scaled("link.feedback_age_ms", 1e-6),
+        }
+        self._row = row_of(names, objects | standing, ("truth.x_m", "reference.x_m", "error.x_m"))
+        self._has_standing = not _names_in(tuple(standing.values())).isdisjoint(names)
         self._observes = wire.is_timed and not self._has_standing
 
     def write(
@@ -173,40 +177,33 @@ class RowWriter:
         """
         if self._observes:  # a line with a bit rate is observed only here, for its load in the run
             self._wire.load_percent(self._wire.byte_counts())
-        make_row = self._row
-        row = make_row(
-            tick,
-            reference,
-            _NO_STATE if state is None else state,
-            _NO_FIX if fix is None else fix,
-            applied,
-            _NO_FEEDBACK if feedback is None else feedback,
-            estimator,
-            is_held,
-            NAN if feedback is None else silent_ns + self._feedback_latency_ns,
-            self._standing(tick.tick) if self._has_standing else None,
-        )
+        state = _NO_STATE if state is None else state
+        fix = _NO_FIX if fix is None else fix
+        age_ns = NAN if feedback is None else silent_ns + self._feedback_latency_ns
+        feedback = _NO_FEEDBACK if feedback is None else feedback
+        if not self._has_standing:
+            row = self._row.make(
+                tick=tick, reference=reference, state=state, truth=fix, applied=applied, feedback=feedback,
+                estimator=estimator, is_held=is_held, feedback_age_ns=age_ns,
+            )  # fmt: skip
+        else:
+            device, wire, extra = self._device, self._wire, self._extra
+            byte_counts = wire.byte_counts()
+            if tick.tick % _REJECTED_EVERY == 0:
+                self._rejected = sum(device.rejected().values())
+            row = self._row.make(
+                tick=tick, reference=reference, state=state, truth=fix, applied=applied, feedback=feedback,
+                estimator=estimator, is_held=is_held, feedback_age_ns=age_ns,
+                gains=self._controller.gains, health=device.report.health, link=device.link_figures(),
+                byte_counts=byte_counts, load_percent=wire.load_percent(byte_counts) if wire.is_timed else NAN,
+                rejected=self._rejected, clock_offset_us=device.clock_sync.offset_us,
+                clock_drift_ppm=device.clock_sync.drift_ppm,
+                extra=tuple([own.telemetry for own in extra]) if extra else (),
+            )  # fmt: skip
         if self._faults is not None:
             row = self._faults.recorded(row)
         for put in self._puts:
             put(row)
-
-    def _standing(self, tick: int) -> tuple[object, ...]:
-        device, wire, extra = self._device, self._wire, self._extra
-        byte_counts = wire.byte_counts()
-        if tick % _REJECTED_EVERY == 0:
-            self._rejected = sum(device.rejected().values())
-        return (
-            self._controller.gains,
-            device.report.health,
-            device.link_figures(),
-            byte_counts,
-            wire.load_percent(byte_counts) if wire.is_timed else NAN,
-            self._rejected,
-            device.clock_sync.offset_us,
-            device.clock_sync.drift_ppm,
-            tuple([own.telemetry for own in extra]) if extra else (),
-        )
 
 
 def _names_in(objects: Objects) -> set[str]:

@@ -7,7 +7,7 @@ from hil.core.errors import HilError
 from hil.core.guard import Brake, Guard
 from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseSource, Sink
 from hil.core.signals import LoopSignals
-from hil.core.tuples import is_finite, make_applied
+from hil.core.tuples import is_finite
 from hil.core.types import (
     NAN_WHEELS,
     ZERO_WHEELS,
@@ -93,7 +93,6 @@ class Tick:
         self._rest = WheelCommand(mode, ZERO_WHEELS, ZERO_WHEELS)
         self._nothing = WheelCommand(mode, NAN_WHEELS, NAN_WHEELS)
         self._latency = CommandLatency(timing.latency_s, timing.stale_ns)
-        self._measure_latency = self._latency.measure
         self._latency_s = timing.latency_s
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the law's last tick; None before its first and before a reset
@@ -120,8 +119,8 @@ class Tick:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None and not is_finite(state):
             state = None  # a law that integrates it would return NaN from then on
-        freshness, measure_latency = self._freshness, self._measure_latency
-        self.is_stale = is_stale = freshness.is_stale or (not self._is_lockstep and freshness.has_aged())
+        freshness = self._freshness
+        self.is_stale = is_stale = freshness.is_stale or (not self._is_lockstep and freshness.truth_has_aged())
         # The state is as old as the truth if the estimate uses it, otherwise as old as the feedback.
         truth_ns, at_ns = freshness.truth_ns, feedback.robot_time_ns
         sampled_ns = at_ns if truth_ns is None else truth_ns
@@ -147,8 +146,8 @@ class Tick:
                     command, saturated, feedback.speed_rad_s, at_ns, state, self._latency_s, older_s
                 )
         sequence = self._device.send(command)
-        self._latency_s = latency_s = measure_latency(feedback, sequence, sampled_ns)
-        self._applied = applied = make_applied(command, saturated, latency_s)
+        self._applied = applied = self._latency.applied(feedback, sequence, sampled_ns, command, saturated)
+        self._latency_s = applied.latency_s
         self.is_held = is_held
         self._rows.write(now, feedback, freshness.silent_ns, fix, state, reference, applied, status, is_held)
         self.count += 1

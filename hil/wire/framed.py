@@ -41,8 +41,8 @@ class StreamLink:
     _client: Client
     _clock: Clock
     _attend: Callable[[bytes, int, int], None]
-    _encode: Callable[[int], bytes]
-    _take: Callable[[int, bytes, int], int | tuple[bytes, int]]
+    _encode: Callable[[Client], bytes]
+    _take: Callable[[Client, bytes, int], int | tuple[bytes, int]]
 
     def __init__(self, stream: HostStream, protocol: LinkProtocol = WHEEL_DBC) -> None:
         self._stream = stream
@@ -75,7 +75,7 @@ class StreamLink:
     def send_waiting(self) -> None:
         """Send what the client has queued. Raises LinkError when the link is lost; it stays queued then."""
         client = self._client
-        data = self._encode(client.address)
+        data = self._encode(client)
         if data:
             self._stream.write(data)
             self.sent_frames += client.sent()
@@ -94,7 +94,7 @@ class StreamLink:
         for _ in range(_MOST_READS):
             data = self._stream.read(AT_ONCE)
             now_ns = self._clock.now_ns()
-            taken = self._take(self._client.address, data, now_ns)
+            taken = self._take(self._client, data, now_ns)
             self.received_bytes += len(data)
             if isinstance(taken, int):
                 self.received_frames += taken

@@ -4,13 +4,12 @@ It observes the transport itself, below latency and faults of frames. Only the f
 line are below it. Time stamps are by the run's clock. STATISTICS.md explains each figure.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from firmware_protocol.built import BuildError
-from firmware_protocol.fast_calls import fast_call
+from firmware_protocol.extension import library, wheel
 from firmware_protocol.framing import Frame
-from firmware_protocol.host import library
 from firmware_protocol.host_line import PackedFrames
 from hil.core.errors import BadInputError
 from hil.core.ports import Clock, Link, Received
@@ -85,33 +84,18 @@ class LineMeter:
         )
 
 
-class LoadWindow:
+class LoadWindow(wheel.Load):
     """The load of a line: in the newest window of 100 ms, in the worst one, and in total (``client/wheel_load.h``).
 
-    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock. The
-    count is at ``place`` in ``loads``, an array of wheel_load, by default one of its own; it keeps the array alive.
-    Raises BuildError without the host library.
-
-    Attributes:
-        count: takes the time [ns] and how much there was so far; returns the load of the window that ends now [%].
+    What occupies the line is counted in units of ``unit_ns``. Windows begin at multiples of 10 ms on the clock. Raises
+    BuildError without the extension module.
     """
 
-    def __init__(self, unit_ns: float = 1.0, loads: Any = None, place: int = 0) -> None:
-        ffi, lib = library()
-        if loads is None:
-            loads = ffi.new("wheel_load[1]")
+    def __init__(self, unit_ns: float = 1.0) -> None:
+        _, lib = library()
         self._unit_ns = unit_ns
-        self._load = loads + place  # owns no memory: ``count`` keeps what does
-        self._load.unit_percent = 100.0 * unit_ns / (lib.WHEEL_LOAD_BUCKET_NS * lib.WHEEL_LOAD_BUCKETS)
-        self.count: Callable[[int, float], float] = fast_call("count_load", self._load, loads)
-
-    @property
-    def total(self) -> float:
-        return float(self._load.total)
-
-    @total.setter
-    def total(self, units: float) -> None:
-        self._load.total = units
+        self._unit_percent = 100.0 * unit_ns / (lib.WHEEL_LOAD_BUCKET_NS * lib.WHEEL_LOAD_BUCKETS)
+        super().__init__(self._unit_percent)
 
     def add(self, now_ns: int, units: float) -> None:
         self.count(now_ns, self.total + units)
@@ -123,7 +107,7 @@ class LoadWindow:
     def figures(self, lasted_ns: int) -> dict[str, float | None]:
         """Return the mean load over ``lasted_ns`` and that of the worst window [%]."""
         mean = 100.0 * self.total * self._unit_ns / lasted_ns if lasted_ns > 0 else None
-        return {"mean_percent": mean, "worst_100_ms_percent": self._load.most * self._load.unit_percent}
+        return {"mean_percent": mean, "worst_100_ms_percent": self.most * self._unit_percent}
 
 
 class LinkStatistics:
@@ -154,10 +138,8 @@ class LinkStatistics:
         self._since_ns = self._clock.now_ns()
         self._meter.begin()
         unit_ns = self._meter.byte_ns if self._bus is None else 1.0
-        loads = library()[0].new("wheel_load[2]")
-        self._down = LoadWindow(unit_ns, loads, 0)
-        self._up = LoadWindow(unit_ns, loads, 1) if self._meter.duplex else self._down
-        self._count_loads: Callable[[int, tuple[float, float]], float] = fast_call("count_loads", loads)
+        self._down = LoadWindow(unit_ns)
+        self._up = LoadWindow(unit_ns) if self._meter.duplex else self._down
 
     def sent(self, frames: Sequence[Frame]) -> None:
         """Count and trace frames that were just sent."""
@@ -199,7 +181,7 @@ class LinkStatistics:
         now_ns = self._clock.now_ns()
         if self._bus is not None:
             return self._down.percent(now_ns)
-        return self._count_loads(now_ns, byte_counts)
+        return self._down.count_both(self._up, now_ns, byte_counts)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures since ``begin``, by name."""

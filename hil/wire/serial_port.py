@@ -5,14 +5,12 @@ import re
 import select
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import serial
 
-from firmware_protocol.built import BuildError
-from firmware_protocol.fast_calls import fast_call
-from hil.core.errors import BadInputError, LinkError
+from firmware_protocol.extension import wheel
+from hil.core.errors import LinkError
 from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import GONE, LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
@@ -46,20 +44,15 @@ class Terminal:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        try:
-            self._read: Callable[[int], bytes | None] = fast_call("terminal_read")
-            self._write: Callable[[int, bytes], int] = fast_call("terminal_write")
-        except BuildError as error:
-            raise BadInputError(str(error)) from error
         self._quiet_until_ns = 0
 
     def write(self, data: bytes) -> int:
         """Return how many bytes were written; 0 when the line is full or lost."""
-        return self._write(self._descriptor, data)
+        return wheel.terminal_write(self._descriptor, data)
 
     def read(self) -> bytes | None:
         """Return the bytes that arrived; None after 20 ms of silence or on a lost line: pyserial's read shows which."""
-        data = self._read(self._descriptor)
+        data = wheel.terminal_read(self._descriptor)
         if data:
             self._quiet_until_ns = 0
             return data

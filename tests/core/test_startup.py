@@ -40,7 +40,7 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str, heavy: set[
 
 
 def test_the_libraries_are_loaded_without_a_parser_of_c() -> None:
-    program = "from firmware_protocol.host import library; from hil.plant.shim import load; library(), load()"
+    program = "from firmware_protocol.extension import library; from hil.plant.shim import load; library(), load()"
     assert not _imported(program) & {"cffi", "pycparser"}
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import hil
 from firmware_protocol import built as native
-from firmware_protocol import host
+from firmware_protocol import extension, host
 from firmware_protocol.built import WHEEL_HOST, BuildError, Built, digest_in_library
 from firmware_protocol.declarations import HEADERS, TABLE, are_written, declared, write_declarations
 from hil.cli.main import app
@@ -123,10 +123,10 @@ def installed_with_other_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[No
     hil.run("circle_speed", set={"loop.duration_s": 0.1, "expect": []})  # functions that imports make stay
     monkeypatch.setattr(native, "is_checkout", lambda _: False)
     others = [built._replace(flags=("another",)) for built in ALL]
-    monkeypatch.setattr(host, "WHEEL_HOST", others[0])
+    monkeypatch.setattr(extension, "WHEEL_HOST", others[0])
     monkeypatch.setattr(shim, "COSIM", others[1])
     monkeypatch.setattr(archive, "FMUS", dict(zip(PLANTS, others[2:], strict=True)))
-    caches = (host.loaded, host.parameters, shim.loaded, archive._make_current)
+    caches = (extension.loaded, host.parameters, shim.loaded, archive._make_current)
     for cache in caches:
         cache.cache_clear()
     yield
@@ -141,8 +141,8 @@ def test_what_cannot_be_built_anew_is_refused_in_a_sentence() -> None:
     for load in (shim.load, lambda: archive.locate("mecanum", Path()), lambda: archive.locate("mecanum_fmi3", Path())):
         with pytest.raises(BadInputError, match="it can only be built in a checkout"):
             load()
-    with pytest.raises(BuildError, match=r"libwheel_host\.\w+ was not built from the sources beside it"):
-        host.library()
+    with pytest.raises(BuildError, match=r"_wheel\.\S+ was not built from the sources beside it"):
+        extension.library()
 
 
 def test_a_script_that_builds_nothing_and_says_nothing_is_told_by_its_exit_code(tmp_path: Path) -> None:
@@ -165,16 +165,16 @@ def test_an_installed_package_builds_no_fmu(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_library_built_in_another_way_is_taken_as_it_is(tmp_path, monkeypatch) -> None:
     path = tmp_path / "libother.so"
     path.write_bytes(WHEEL_HOST.path.read_bytes() + b"\0")
-    monkeypatch.setattr(host, "OTHER", str(path))
-    host.loaded.cache_clear()
+    monkeypatch.setattr(extension, "OTHER", str(path))
+    extension.loaded.cache_clear()
     try:
-        assert host.loaded().sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert extension.loaded().sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
         path.unlink()
-        host.loaded.cache_clear()
+        extension.loaded.cache_clear()
         with pytest.raises(BuildError, match="unset WHEEL_HOST_LIBRARY"):
-            host.library()
+            extension.library()
     finally:
-        host.loaded.cache_clear()
+        extension.loaded.cache_clear()
 
 
 def test_a_library_without_a_mark_says_nothing_of_its_sources(tmp_path: Path) -> None:
@@ -200,4 +200,4 @@ def test_declarations_of_another_library_are_not_taken(tmp_path: Path) -> None:
     library.write_bytes(library.read_bytes().replace(str(WHEEL_HOST.digest()).encode(), b"0" * 64))
     assert not are_written(library)
     ffi = declared(library, HEADERS, TABLE)
-    assert ffi.sizeof("wheel_view") == host.library()[0].sizeof("wheel_view")
+    assert ffi.sizeof("wheel_view") == extension.library()[0].sizeof("wheel_view")

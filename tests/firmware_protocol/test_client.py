@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.client import NO_TIME, Client
+from firmware_protocol.extension import library
 from firmware_protocol.framing import pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from tests.support.bare_node import core
 from tests.support.client_rig import digest, new_client, sent, take
 from tests.support.examples import share_of_examples

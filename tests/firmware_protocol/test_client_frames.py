@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from firmware_protocol import codec
 from firmware_protocol.client import Client
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine
 from hil.core.types import FourWheels
 from tests.support.client_rig import digest, feed, new_client, sent, take

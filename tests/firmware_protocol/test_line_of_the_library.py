@@ -7,10 +7,10 @@ from cobs import cobs
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from firmware_protocol.extension import library
 from firmware_protocol.framer import Deframer, Framer
 from firmware_protocol.framing import CAUSES, Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine, PackedFrames, split
 from tests.support.bare_node import core
 from tests.support.protocol_cases import frames, rejected

@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.extension import library
 from firmware_protocol.framer import Framer
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library, parameter_hash, parameters, stored_size
+from firmware_protocol.host import HostNode, parameter_hash, parameters, stored_size
 from tests.support.client_rig import feed, new_client
 from tests.support.examples import share_of_examples
 from tests.support.wheel_rig import PARAMETERS, REST_TICKS, WheelRig

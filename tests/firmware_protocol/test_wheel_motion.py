@@ -8,8 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.fast_calls import fast_call
-from firmware_protocol.host import library
+from firmware_protocol.extension import library, wheel
 from hil.core.model import RobotModel
 from hil.core.motion_limits import BodyLimits, MotionLimits, TorqueSpeed
 from hil.core.types import Pose, State, Twist, Wheels
@@ -119,8 +118,11 @@ def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
     ffi, _ = library()
     wheels = {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m, "ahead_s": AHEAD_S, "lag_s": LAG_S}
     limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s}
-    motion = ffi.new("wheel_motion *", wheels | limits)
-    add, expected = fast_call("add_motion", motion), Plain(slip_rad_s, older_s)
+    made = wheel.Motion()
+    motion = ffi.cast("wheel_motion *", made.address)
+    for name, value in (wheels | limits).items():
+        setattr(motion, name, value)
+    add, expected = made.add, Plain(slip_rad_s, older_s)
     for (_, speed, state, _), time_ns in zip(sequence, times_ns(sequence), strict=True):
         near = expected.add(speed, time_ns, state)
         found = add(speed, time_ns, state, LATENCY_S, older_s)
@@ -139,8 +141,10 @@ def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
 )
 def test_what_raises_leaves_all_as_it_was(wrong: dict[int, object]) -> None:
     ffi, _ = library()
-    motion = ffi.new("wheel_motion *", {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m})
-    add = fast_call("add_motion", motion)
+    made = wheel.Motion()
+    motion = ffi.cast("wheel_motion *", made.address)
+    motion.wheel_radius_m, motion.lever_m = MODEL.wheel_radius_m, MODEL.lever_m
+    add = made.add
     _, speed, state, _ = tick(0, 5.0)
     good = [speed, 500_000_000, state, LATENCY_S, 0.011]
     add(*good)

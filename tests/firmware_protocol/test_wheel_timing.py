@@ -5,8 +5,8 @@ from typing import Any
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from firmware_protocol.extension import library
 from firmware_protocol.generated.messages import State
-from firmware_protocol.host import library
 
 MS = 1_000_000
 STALE_NS, LOST_NS, LEAP_NS = 50 * MS, 250 * MS, 1000 * MS

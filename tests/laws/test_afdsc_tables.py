@@ -41,7 +41,7 @@ def test_look_up_is_product_inference_with_weighted_average(which, error, rate, 
     assert gains.at((error, rate)) == pytest.approx(expected, rel=1e-9)
 
 
-@given(st.lists(st.tuples(tables, any_value, any_value, span, span), min_size=1, max_size=5))
+@given(st.lists(st.tuples(tables, any_value, any_value, span, span), min_size=1, max_size=4))
 def test_blocks_together_are_as_each_alone(some):
     blocks = [FuzzyBlock.from_tables(which, *spans) for which, _, _, *spans in some]
     inputs = [(error, rate) for _, error, rate, *_ in some]
@@ -54,9 +54,9 @@ def test_blocks_together_are_as_each_alone(some):
     assert together.firing() == tuple(itertools.chain.from_iterable(one.firing() for one in alone))
 
 
-@pytest.mark.parametrize(("wrong", "error"), [((1.0,), IndexError), (("a", 1.0), TypeError), ([1.0, 1.0], SystemError)])
-def test_what_is_no_tuple_of_an_error_and_a_rate_raises(wrong, error):
-    with pytest.raises(error):
+@pytest.mark.parametrize("wrong", [(1.0,), ("a", 1.0), [1.0, 1.0]])
+def test_what_is_no_tuple_of_an_error_and_a_rate_raises(wrong):
+    with pytest.raises(TypeError):
         FuzzyGains(FuzzyBlock.from_tables("printed", 1.0, 1.0)).at(wrong)
 
 

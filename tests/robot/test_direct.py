@@ -5,9 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import HostNode, library
+from firmware_protocol.host import HostNode
 from firmware_protocol.host_line import HostLine, PackedFrames
 from hil.core.errors import LinkError
 from hil.robot.direct import DirectLink

@@ -146,10 +146,10 @@ def test_a_robot_that_was_reset_while_it_was_driven_says_why() -> None:
 def test_a_truth_ages_on_while_the_host_stands_still_within_a_tick() -> None:
     robot = Robot(watchdog_s=0.1).armed()
     assert not robot.tick()
-    assert not robot.freshness.has_aged(), "no truth is no old one"
+    assert not robot.freshness.truth_has_aged(), "no truth is no old one"
     for pose in (Pose(0.0, 0.0, 0.0), NAN_POSE):
         robot.freshness.poll(0.0, PoseFix(robot.now_ns(), pose, Twist(0.0, 0.0, 0.0)))
         assert not robot.freshness.is_stale
-        assert not robot.freshness.has_aged()
+        assert not robot.freshness.truth_has_aged()
         robot.wait_until(robot.now_ns() + 30 * TICK_NS)
-    assert robot.freshness.has_aged(), "by the first: the second makes nothing newer"
+    assert robot.freshness.truth_has_aged(), "by the first: the second makes nothing newer"

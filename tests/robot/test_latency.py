@@ -34,9 +34,9 @@ def told(latencies_ms, period_ms=5, start=0):
     for number, late_ms in enumerate(latencies_ms):
         sampled_ms, sequence = number * period_ms, (start + number) & 0xFF
         for _ in range(2):
-            meter.measure(newest, sequence, sampled_ms * MS)
+            meter.applied(newest, sequence, sampled_ms * MS, None, False)
         newest = reported(sequence, sampled_ms + late_ms + 2)
-    return meter.measure(newest, start, 0)
+    return meter.applied(newest, start, 0, None, False).latency_s
 
 
 @given(late_ms=st.integers(0, 100), start=st.integers(0, 255), count=st.integers(9, 400))
@@ -60,8 +60,8 @@ def test_what_cannot_be_a_latency_is_left_out():
     assert told([-1] * 50) == CONFIGURED_S
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
     for sequence in range(50):
-        meter.measure(reported(sequence, sequence), sequence, 0)  # another host's
-        meter.measure(reported(sequence, 300, 255), sequence, 0)  # so old that the age says no more
+        meter.applied(reported(sequence, sequence), sequence, 0, None, False)  # another host's
+        meter.applied(reported(sequence, 300, 255), sequence, 0, None, False)  # so old that the age says no more
     assert meter.s == CONFIGURED_S
 
 
@@ -69,11 +69,11 @@ def test_a_new_session_keeps_what_was_measured_and_forgets_what_was_sent():
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
     newest = NOTHING
     for sequence in range(10):
-        meter.measure(newest, sequence, 0)
+        meter.applied(newest, sequence, 0, None, False)
         newest = reported(sequence, 7, 0)
     meter.restart()
     for _ in range(33):
-        meter.measure(reported(9, 50, 0), 10, 0)
+        meter.applied(reported(9, 50, 0), 10, 0, None, False)
     assert meter.s == pytest.approx(0.007)
 
 
@@ -87,11 +87,11 @@ def test_it_is_the_lower_median_of_the_last_33(latencies_ms):
 def test_what_is_no_feedback_raises_and_notes_nothing(wrong):
     meter = CommandLatency(CONFIGURED_S, LONGEST_NS)
     with pytest.raises((TypeError, IndexError, SystemError)):
-        meter.measure(wrong, 1, 0)
+        meter.applied(wrong, 1, 0, None, False)
     for number in ("a", None, 0.5, 1 << 70):
         with pytest.raises((TypeError, OverflowError)):
-            meter.measure(NOTHING, 1, number)
-    assert [meter.measure(reported(1, 7, 0), 2, 0) for _ in range(20)] == [CONFIGURED_S] * 20
+            meter.applied(NOTHING, 1, number, None, False)
+    assert [meter.applied(reported(1, 7, 0), 2, 0, None, False).latency_s for _ in range(20)] == [CONFIGURED_S] * 20
 
 
 @pytest.mark.parametrize(("command_ms", "feedback_ms"), [(0, 0), (3, 2), (7, 0), (0, 10), (12, 9)])

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import codec
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from hil.core.types import WHEEL_NAMES, Wheels
 from hil.core.wheel_map import WheelMap
 from tests.support.client_rig import feed, feedback, new_client, take

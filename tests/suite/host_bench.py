@@ -7,9 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from firmware_protocol.client import Client
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated.messages import Mode, Request
-from firmware_protocol.host import library
+from hil.core.types import Wheels
+from hil.robot.snapshot import Feedback
 from tests.suite.host_model import HostModel
 
 _LOG = 2100  # bytes of each log: few, so that they fill up
@@ -28,7 +30,7 @@ class HostBench:
 
     def __init__(self, mode: Mode, check: int, nonce: int, *, logs: bool = True) -> None:
         self._ffi, self._lib = library()
-        self.client = Client(mode, check, nonce)
+        self.client = Client(mode, check, nonce, Feedback, Wheels)
         self.model = HostModel(mode, check, nonce, _LOG if logs else None)
         self._logs = self._ffi.new("uint8_t[]", _LOG), self._ffi.new("uint8_t[]", _LOG)
         kept = self._logs if logs else (self._ffi.NULL, self._ffi.NULL)

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame
-from firmware_protocol.host import HostNode, library
+from firmware_protocol.host import HostNode
 
 
 class PlantNode(HostNode):

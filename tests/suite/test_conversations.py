@@ -13,10 +13,10 @@ import pytest
 
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.codec import Message, encode
+from firmware_protocol.extension import library
 from firmware_protocol.framer import Deframer, Framer
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine, split
 from tests.suite.host_bench import HostBench
 from tests.suite.host_talk import HostTalk
@@ -159,13 +159,13 @@ def test_a_host_on_a_serial_line_hears_and_says_what_it_does_without() -> None:
         bench.take_logs()  # a log that fills up asks for it, and nothing is polled before
         told: list[Message] = [m.Tick(number * 5000, number, 0, m.State.IDLE, 3, number), m.Encoders(1, 2, 3, number)]
         frames = [*map(encode, [*told, m.WheelSpeeds(0.5, 0.0, -1.0, number / 4), m.StepDone(number)])]
-        heard = line.receive_for(bench.client.address, b"".join(map(robot.encode, frames)), now_ns)
+        heard = line.receive_for(bench.client, b"".join(map(robot.encode, frames)), now_ns)
         bench.model.take(frames, now_ns)
         was_due = bench.model.poll(now_ns)
         assert heard == len(frames) if not was_due else isinstance(heard, tuple), heard
         twin.take(frames, now_ns)
         twin.call("poll", twin.model.poll, now_ns)
-        said = Deframer().feed(line.encode_for(bench.client.address))
+        said = Deframer().feed(line.encode_for(bench.client))
         assert said == [*twin.send()]
         assert said == [*bench.send()]
         if number % 5 == 0:

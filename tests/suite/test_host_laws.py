@@ -183,7 +183,7 @@ def test_the_latency_of_commands_is_the_median_of_those_of_late() -> None:
     for number in range(61):
         at_ns += 10 * MS
         for _ in range(2):  # a second report of a command does not count
-            told_s = latency.measure(newest, number, at_ns)
+            told_s = latency.applied(newest, number, at_ns, None, False).latency_s
         took_ms = next(took) if number < 30 else 12
         newest = reported(number, at_ns + (took_ms + 3) * MS, 3)
         if number < 9:
@@ -193,12 +193,12 @@ def test_the_latency_of_commands_is_the_median_of_those_of_late() -> None:
     assert latency.s == pytest.approx(0.012)
     for age_ms, late_ms in ((255, 20), (0, 101), (50, 40)):
         for number in range(40):
-            latency.measure(reported(number - 1, at_ns + late_ms * MS, age_ms), number, at_ns)
+            latency.applied(reported(number - 1, at_ns + late_ms * MS, age_ms), number, at_ns, None, False)
     assert latency.s == pytest.approx(0.012), "old ones, too long ones, negative ones"
-    latency.measure(newest, 7, at_ns)
+    latency.applied(newest, 7, at_ns, None, False)
     latency.restart()
     for _ in range(40):
-        latency.measure(reported(7, at_ns + 30 * MS, 0), 8, at_ns)
+        latency.applied(reported(7, at_ns + 30 * MS, 0), 8, at_ns, None, False)
     assert latency.s == pytest.approx(0.012)
     trips = RoundTrip()
     assert trips.figures() is None

@@ -13,9 +13,10 @@ from firmware_protocol import codec
 from firmware_protocol.built import HERE, OTHER, WHEEL_HOST
 from firmware_protocol.capabilities import Capability
 from firmware_protocol.declarations import HEADERS, TABLE, read_headers
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library, parameter_hash
+from firmware_protocol.host import parameter_hash
 from tests.support.wheel_rig import INERTIA_KG_M2, PARAMETERS
 
 _HEADERS = ("cobs.h", "framing.h", "parameters.h", "states.h", "control.h", "plant_port.h", "node.h")

@@ -15,7 +15,7 @@ from hil.robot.snapshot import Feedback
 
 def new_client(mode: m.Mode = m.Mode.SPEED, nonce: int = 1) -> Client:
     """Return a client of a robot whose parameter hash ends with 0x5A."""
-    return Client(mode, 0x5A, nonce)
+    return Client(mode, 0x5A, nonce, Feedback, Wheels)
 
 
 def feedback(client: Client) -> Feedback | None:

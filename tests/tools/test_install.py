@@ -19,7 +19,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 import plant_fmu
-from firmware_protocol.built import SUFFIX
+from firmware_protocol.built import EXTENSION_SUFFIX, SUFFIX
 from plant_fmu.sources import DESCRIPTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -109,7 +109,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
         "plant_fmu",
         "firmware_protocol",
     }
-    assert {*fmus, f"firmware_protocol/libwheel_host{SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
+    assert {*fmus, f"firmware_protocol/_wheel{EXTENSION_SUFFIX}", f"hil/plant/libcosim{SUFFIX}"} <= names
     assert {"hil/addons/testing/plugin.py", "hil/py.typed", "firmware_protocol/py.typed", "plant_fmu/py.typed"} <= names
     pages = {
         "runtime/LIMITS.md",
@@ -123,7 +123,7 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
     }
     assert {f"hil/{page}" for page in pages} <= names
     assert "[pytest11]\nhil.addons.testing.plugin = hil.addons.testing.plugin" in entry_points
-    assert re.fullmatch(r"mecanum_hil-[\d.]+-py3-none-(?!any)\w+\.whl", wheel.name), "one for all Pythons"
+    assert re.fullmatch(r"mecanum_hil-[\d.]+-cp311-abi3-(?!any)\w+\.whl", wheel.name), "one for all Pythons"
 
     run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path, environment=bare)
     scripts = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin")

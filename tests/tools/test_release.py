@@ -19,7 +19,7 @@ def test_the_libraries_of_a_platform_are_its_own_and_of_no_other(platform: str, 
     files = libraries_for(platform, tmp_path / "made")
     assert len(files) == 4, "two libraries, each with its declarations"
     for one, tag in WHEEL_TAGS.items():
-        wheel = tmp_path / f"mecanum_hil-0-py3-none-{tag}.whl"
+        wheel = tmp_path / f"mecanum_hil-0-cp311-abi3-{tag}.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
             for made, place in files.items():
                 archive.write(made, place)

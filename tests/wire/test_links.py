@@ -130,7 +130,7 @@ def test_a_direct_stream_is_answered_when_it_is_read(chunks):
 
 def test_a_library_that_is_not_built_is_told_as_what_to_do(monkeypatch):
     def missing():
-        raise BuildError("libwheel_host.so is not built; run: python -m tools.build.wheel_host")
+        raise BuildError("_wheel.abi3.so is not built; run: python -m tools.build.wheel_host")
 
     monkeypatch.setattr(host_line, "library", missing)
     with pytest.raises(BadInputError, match=r"is not built; run: python -m tools\.build\.wheel_host"):

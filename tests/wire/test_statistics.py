@@ -1,9 +1,7 @@
 """What is on the wire, counted: against the bytes at the other end, and against loads worked out the slow way."""
 
-import gc
 import itertools
 import math
-import weakref
 
 import can
 import pytest
@@ -14,7 +12,6 @@ from firmware_protocol import codec
 from firmware_protocol.framer import Framer
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from hil.core.ports import Received
 from hil.core.signals import SIGNAL_NAMES
 from hil.runtime.assembly import run
@@ -82,17 +79,6 @@ def test_a_time_before_that_of_the_last_count_is_of_the_present_bucket():
         assert late.percent(ms * MS) == in_order.percent(ms * MS) == pytest.approx(2.0)
     assert late.percent(150 * MS) == in_order.percent(150 * MS) == 0.0
     assert late.figures(150 * MS) == in_order.figures(150 * MS)
-
-
-def test_a_window_keeps_the_memory_that_it_counts_in():
-    loads = library()[0].new("wheel_load[2]")
-    window, kept = LoadWindow(1.0, loads, 1), weakref.ref(loads)
-    del loads
-    gc.collect()
-    assert kept() is not None
-    del window
-    gc.collect()
-    assert kept() is None
 
 
 @given(sent=some_frames, received=some_frames, noise=st.binary(max_size=40))

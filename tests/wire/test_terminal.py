@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.extension import wheel
 from hil.wire import serial_port
 from hil.wire.serial_port import Terminal
 
@@ -76,17 +77,17 @@ def test_a_terminal_that_was_closed_is_lost_and_takes_nothing() -> None:
         assert gone.write(b"x") == 0
 
 
-def test_what_is_no_descriptor_and_no_bytes_is_a_type_error() -> None:
+def test_what_is_no_descriptor_and_no_bytes_is_refused() -> None:
     with line() as (made, other):
         os.write(other, b"x")
         waits(made._descriptor)
         for number in (-1, 1 << 31, made._descriptor + (1 << 32)):
-            with pytest.raises(TypeError):
-                made._read(number)
-            with pytest.raises(TypeError):
-                made._write(number, b"x")
+            with pytest.raises(ValueError, match=f"{number} is no descriptor"):
+                wheel.terminal_read(number)
+            with pytest.raises(ValueError, match=f"{number} is no descriptor"):
+                wheel.terminal_write(number, b"x")
         assert made.read() == b"x", "it was left there"
         with pytest.raises(TypeError):
-            made._read(None)  # type: ignore[arg-type]
+            wheel.terminal_read(None)  # type: ignore[arg-type]
         with pytest.raises(TypeError):
-            made._write(made._descriptor, "text")  # type: ignore[arg-type]
+            wheel.terminal_write(made._descriptor, "text")  # type: ignore[arg-type]

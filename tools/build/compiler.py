@@ -10,6 +10,7 @@ a cache of its own, in the user's cache folder or in ``ZIG_GLOBAL_CACHE_DIR``.
 
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -22,6 +23,7 @@ from firmware_protocol.built import FLAGS, BuildError, Built, mark
 
 ZIG_REQUIREMENT = "ziglang==0.17.1"  # one version, so that everyone's cross-compiled binaries are the same
 _ON_THE_PATH = ("cc", "gcc", "clang")
+_OF_PYTHON = re.compile(r"^(?:WHEEL_IMPORTED .*?(\w+);|\w[\w ]*[ *](\w+)\(.*\);)$", re.MULTILINE)
 
 
 def compiler(cc: str | None = None) -> list[str]:
@@ -87,8 +89,11 @@ def compile_shared(
     digest = None if built is None else built.digest()
     if library.suffix == ".dylib":
         command += [f"-Wl,-install_name,@rpath/{library.name}", "-Wl,-x"]
-    if library.suffix != ".dll":
+    if library.suffix not in (".dll", ".pyd"):
         command += ["-fPIC", "-lm"]
+    of_python = None if built is None else built.of_python
+    if of_python is not None and ("macos" in zig_target if zig_target else sys.platform == "darwin"):
+        command.append("-Wl,-undefined,dynamic_lookup")
     # The file has its own name from the start, because linkers write it into the library.
     try:
         with tempfile.TemporaryDirectory(dir=library.parent, prefix=f".{library.name}.") as folder:
@@ -96,11 +101,24 @@ def compile_shared(
             if digest is not None:
                 (marked := made.with_name("built_from.c")).write_text(mark(digest), encoding="ascii")
                 command.append(str(marked))
+            if of_python is not None and library.suffix == ".pyd":
+                command.append(str(_import_library(of_python, made.parent)))
             # Not from the user's folder: below an environment's, zig makes its C libraries anew for that folder alone.
             _run([*command, "-o", str(made)], made.parent)
             made.replace(library)
     except OSError as error:
         raise BuildError(f"{library}: cannot be written ({error.strerror}); make its folder writable") from error
+
+
+def _import_library(header: Path, folder: Path) -> Path:
+    """Make the import library of what a header declares of the stable ABI, for Windows. Raises BuildError."""
+    found = _OF_PYTHON.findall(header.read_text(encoding="utf-8"))
+    names = [f"{data} DATA" if data else function for data, function in found]
+    (names_file := folder / "python3.def").write_text("\n".join(["LIBRARY python3.dll", "EXPORTS", *names]) + "\n")
+    made = folder / "python3.lib"
+    tool = [*zig()[: zig().index("cc")], "dlltool", "-m", "i386:x86-64"]
+    _run([*tool, "-d", str(names_file), "-D", "python3.dll", "-l", str(made)])
+    return made
 
 
 def compile_object(source: Path, target: Path, include: Sequence[Path], flags: Sequence[str]) -> None:

@@ -55,6 +55,9 @@ def libraries_for(platform: str, folder: Path) -> dict[Path, str]:
 
 
 def _library(built: Built, platform: str, folder: Path, sources: tuple[Path, ...], include: tuple[Path, ...]) -> Path:
-    made = folder / f"{built.path.stem}{platforms.suffix(platform)}"
+    suffix = platforms.suffix(platform)
+    if built.of_python is not None:
+        suffix = ".pyd" if suffix == ".dll" else ".abi3.so"
+    made = folder / f"{built.path.name.partition('.')[0]}{suffix}"
     compile_shared(sources, made, include=include, zig_target=platforms.ZIG_TARGETS[platform], built=built)
     return made

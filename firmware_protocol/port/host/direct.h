@@ -22,13 +22,13 @@ typedef struct {
     uint64_t received_frames;
     uint64_t received_bytes;
     const wheel_view *waiting;  /* what waits in the client of this view counts as sent */
-    uint64_t sent_bytes_before; /* at the beginning of the count of wheel_python_line_bytes */
+    uint64_t sent_bytes_before; /* at the beginning of the count of Direct.line_bytes() */
     uint64_t received_bytes_before;
     /* What waits for the next exchange counts as sent too: packed frames, and on the line. */
     uint32_t held_bytes;
     uint32_t held_frames;
     uint64_t held_line_bytes;
-    bool may_hang;          /* whether the robot's plant may take for ever: wheel_python_step */
+    bool may_hang;          /* whether the robot's plant may take for ever: Direct.step() */
     uint32_t stepped_bytes; /* of `stepped` */
     uint32_t stepped_frames;
     uint8_t held[WHEEL_DIRECT_HELD];

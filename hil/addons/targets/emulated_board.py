@@ -4,9 +4,10 @@ import math
 from typing import Self
 
 from firmware_protocol import codec
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import View, library
+from firmware_protocol.host import View
 from firmware_protocol.plant_port import Drive, PlantPort, Sense
 from hil.core.errors import DeviceError
 from hil.robot.virtual import RobotNode

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from firmware_protocol.extension import library
 from firmware_protocol.framing import Frame
-from firmware_protocol.host import library
 from hil.addons.batch.job import PASSED, Outcome
 from hil.addons.verify import results
 from hil.addons.verify.catalogue import Entry

@@ -1,8 +1,7 @@
-"""Fuzzes the functions that CPython calls as its own: any values, in any order, to a library under ASan and UBSan.
+"""Fuzzes the calls of the extension module: any values, in any order, to a module under ASan and UBSan.
 
-``tools.fuzz`` runs this in a process of its own, with the sanitised library in ``WHEEL_HOST_LIBRARY``. The number of
-arguments and addresses are always right, because only ``firmware_protocol`` calls the functions and gives both; what
-the arguments are is not. A call returns or raises, and keeps no reference to what it got.
+``tools.fuzz`` runs this in a process of its own, with the sanitised library in ``WHEEL_HOST_LIBRARY``. A call returns
+or raises, and keeps no reference to what it got.
 """
 
 import argparse
@@ -10,29 +9,28 @@ import contextlib
 import functools
 import os
 import sys
+from array import array
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.client import Client
-from firmware_protocol.fast_calls import RowLayout, Scaled, fast_call
-from firmware_protocol.fast_tables import Tables
+from firmware_protocol.extension import library, wheel
 from firmware_protocol.framer import Framer
 from firmware_protocol.framing import Frame, pack
 from firmware_protocol.generated import messages as m
-from firmware_protocol.host import library
 from firmware_protocol.host_line import HostLine
 from hil.core import tuples
-from hil.core.types import ZERO_WHEELS, CommandMode, Pose, Reference, State, Twist, Wheels
-from hil.robot.channel import feedback_reader
+from hil.core.types import ZERO_WHEELS, Applied, CommandMode, Pose, Reference, State, Twist, Wheels
 from hil.robot.direct import DirectLink, LibraryRobot
+from hil.runtime.row import Scaled, row_of
 from hil.wire.streams import DirectStream
+from tests.support.client_rig import new_client
 from tests.support.protocol_cases import frames as some_frame
 from tests.support.wheel_rig import WheelRig
 
-RAISED = (TypeError, IndexError, OverflowError, ValueError, SystemError)
+RAISED = (TypeError, IndexError, OverflowError, ValueError)
 _DAY_NS = 86_400_000_000_000
 
 
@@ -109,7 +107,6 @@ def descriptors() -> tuple[Any, ...]:
 descriptor = st.integers(0, 10).map(lambda place: descriptors()[place])
 feedback = st.tuples(times, st.integers(0, 8), st.integers(0, 255), st.integers(0, 255))
 truth = st.none() | st.tuples(times, axes, axes)
-frame = st.builds(Frame, st.integers(-1, 1 << 16), any_bytes)
 calls = st.one_of(
     call("command", four_of(any_number), four_of(any_number), times),
     call("poll", times),
@@ -128,7 +125,8 @@ calls = st.one_of(
     call("line_bytes"),
     call("noise"),
     call("add_feedback", feedback, truth, times, times, st.booleans()),
-    call("measure_latency", feedback, ints, times),
+    call("begin_again", st.booleans()),
+    call("applied", feedback, ints, times, atoms, st.booleans()),
     call("add_motion", four_of(any_number), times, motion, any_number, any_number),
     call("has_aged", times),
     call("count_load", times, any_number),
@@ -136,7 +134,6 @@ calls = st.one_of(
     call("split", any_bytes, ints),
     call("finite", motion),
     call("within", four_of(any_number), any_number),
-    call("pack", st.lists(frame, max_size=5).map(tuple)),
     call("frames", any_bytes),
     call("difference", motion, motion),
     call("wheel_torques", axes, st.tuples(any_number, any_number), axes, axes, any_number),
@@ -144,6 +141,13 @@ calls = st.one_of(
     call("look_up", st.tuples(*[any_number] * 4)),
     call("make_state", axes, axes),
     call("make_reference", *[any_number] * 9),
+    call("make_pose_fix", st.binary(min_size=56, max_size=56) | any_bytes),
+    call("new_client", st.integers(-1, 300), st.integers(-1, 300), ints, nested, nested, nested),
+    call("new_row", nested, nested, any_bytes, nested),
+    call("new_tables", any_bytes),
+    call("new_direct", nested, nested),
+    call("new_latency", any_number, times, nested),
+    call("new_tuples", *[nested] * 12),
     call("hash_log"),
     st.builds(Call, st.just("terminal_read"), st.tuples(descriptor)),
     st.builds(Call, st.just("terminal_write"), st.tuples(descriptor, mostly(any_bytes))),
@@ -154,59 +158,66 @@ class Rig:
     """All that the functions belong to: a client, both ends of its line, a robot in this thread, times and tables."""
 
     def __init__(self, mode: m.Mode) -> None:
-        ffi, lib = library()
-        self.client = client = Client(mode, 0x5A, 1)
+        ffi, _ = library()
+        self.client = client = new_client(mode)
         self.rig = WheelRig(lockstep=True)
         self.line = line = HostLine()
         self.direct = DirectLink(cast(LibraryRobot, self.rig), DirectStream(lambda _: b""))
         self.direct.serve(client)
-        ages, latency = ffi.new("wheel_freshness *", {"stale_ns": 50_000_000}), ffi.new("wheel_latency *")
-        lib.wheel_latency_init(latency, 0.0, 100_000_000)
-        wheels = {"wheel_radius_m": 0.075, "lever_m": 0.6, "ahead_s": 0.01, "lag_s": 0.01, "most_slip_rad_s": 2.0}
-        table = (1.0, 1.0), [tuple(range(8))] * 16
-        tables = Tables([table, table])
-        objects = (("x", "y", "h"), (("to_x", "to_y", "to_h"), None), Scaled("last", 2.0))
+        ages, latency, motion = wheel.Freshness(50_000_000), wheel.Latency(0.0, 100_000_000, Applied), wheel.Motion()
+        moves = ffi.cast("wheel_motion *", motion.address)
+        moves.wheel_radius_m, moves.lever_m, moves.ahead_s, moves.lag_s = 0.075, 0.6, 0.01, 0.01
+        load, other = wheel.Load(0.1), wheel.Load(0.2)
+        table = [1.0, 1.0, *range(8 * 16)]
+        tables = wheel.Tables(array("d", table + table).tobytes())
+        objects = {"at": ("x", "y", "h"), "to": (("to_x", "to_y", "to_h"), None), "last": Scaled("last", 2.0)}
         names = ("x", "y", "h", "to_x", "to_y", "to_h", "dx", "dy", "dh", "d", "last")
-        layout = RowLayout(names, objects, ("x", "to_x", "dx"))
-        robot, held = self.rig.node.address, self.direct._direct
-        step, hold, exchange = (fast_call(name, held) for name in ("step", "hold", "exchange"))
+        row = row_of(names, objects, ("x", "to_x", "dx"))
+        robot, held = self.rig.node, self.direct._line
         self.functions: dict[str, Callable[..., Any]] = {
             "command": client.command,
             "poll": client.poll,
             "take": client.take,
-            "receive": lambda data, now_ns: line.receive_for(client.address, data, now_ns),
-            "encode": lambda: line.encode_for(client.address),
-            "out": client._out,
+            "receive": lambda data, now_ns: line.receive_for(client, data, now_ns),
+            "encode": lambda: line.encode_for(client),
+            "out": client.packed,
             "sent": client.sent,
-            "ask": client._ask,
+            "ask": client.ask,
             "link_figures": client.link_figures,
-            "read_feedback": feedback_reader(client),
-            "step": lambda ticks, now_ns: step(robot, client.address, ticks, now_ns),
-            "hold": lambda data: hold(robot, data),
-            "exchange": lambda ticks: exchange(robot, client.address, ticks),
-            "crossed": self.direct.crossed,
-            "line_bytes": self.direct.byte_counts,
+            "read_feedback": client.feedback,
+            "step": lambda ticks, now_ns: held.step(robot, ticks, now_ns),
+            "hold": lambda data: held.hold(robot, data),
+            "exchange": lambda ticks: held.exchange(robot, ticks),
+            "crossed": held.crossed,
+            "line_bytes": held.line_bytes,
             "noise": line.noise,
-            "add_feedback": fast_call("add_feedback", ages),
-            "measure_latency": fast_call("measure_latency", latency),
-            "add_motion": fast_call("add_motion", ffi.new("wheel_motion *", wheels)),
-            "has_aged": fast_call("has_aged", ages),
-            "count_load": fast_call("count_load", ffi.new("wheel_load *", {"unit_percent": 0.1})),
-            "count_loads": fast_call("count_loads", ffi.new("wheel_load[2]")),
-            "split": fast_call("split"),
-            "finite": tuples.is_finite,
-            "within": tuples.is_within,
-            "pack": fast_call("pack"),
-            "frames": lambda data: fast_call("frames")(data, Frame),
-            "difference": tuples.difference,
-            "wheel_torques": tuples.wheel_torques,
-            "row": layout.row,
+            "add_feedback": ages.add,
+            "begin_again": ages.begin_again,
+            "applied": latency.applied,
+            "add_motion": motion.add,
+            "has_aged": ages.has_aged,
+            "count_load": load.count,
+            "count_loads": lambda now_ns, both: load.count_both(other, now_ns, both),
+            "split": wheel.split,
+            "finite": wheel.is_finite,
+            "within": wheel.is_within,
+            "frames": lambda data: wheel.frames(data, Frame),
+            "difference": wheel.difference,
+            "wheel_torques": wheel.wheel_torques,
+            "row": lambda at, to, last: row.make(at=at, to=to, last=last),
             "look_up": tables.look_up,
             "make_state": tuples.make_state,
             "make_reference": tuples.make_reference,
+            "make_pose_fix": tuples.make_pose_fix,
+            "new_client": wheel.Client,
+            "new_row": wheel.Row,
+            "new_tables": wheel.Tables,
+            "new_direct": wheel.Direct,
+            "new_latency": wheel.Latency,
+            "new_tuples": wheel.Tuples,
             "hash_log": client.hash_log,
-            "terminal_read": fast_call("terminal_read"),
-            "terminal_write": fast_call("terminal_write"),
+            "terminal_read": wheel.terminal_read,
+            "terminal_write": wheel.terminal_write,
         }
 
 

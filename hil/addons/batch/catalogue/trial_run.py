@@ -13,9 +13,10 @@ from typing import Any, Self, cast
 
 import numpy as np
 
+from firmware_protocol.extension import library
 from firmware_protocol.framer import Deframer
 from firmware_protocol.framing import Frame
-from firmware_protocol.host import HostNode, library
+from firmware_protocol.host import HostNode
 from hil.addons.batch.catalogue.fault_cases import Ending
 from hil.addons.batch.catalogue.safety import Limits, MotorsJudge, SafetyJudge, Tick
 from hil.addons.batch.job import FAILED, PASSED, Job, Outcome

@@ -6,7 +6,7 @@ What goes in or comes out is changed, all else passes through.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from firmware_protocol.host import library
+from firmware_protocol.extension import library
 from hil.addons.verify.mutation.change import Change
 from hil.core.types import WHEEL_NAMES, Applied, MeasuredPose, Pose, PoseFix, Reference, State, Twist, WheelCommand
 from hil.core.types import Wheels as WheelValues
