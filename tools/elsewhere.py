@@ -45,10 +45,13 @@ MACHINES = {
 }
 _LOADER = r"""
 #include <stdio.h>
+#include <string.h>
 #include <windows.h>
 
 int main(int count, char **words) {
-    HMODULE library = LoadLibraryA(words[1]);
+    /* An extension module imports python3.dll, which is not there. */
+    DWORD flags = strstr(words[1], ".pyd") ? DONT_RESOLVE_DLL_REFERENCES : 0;
+    HMODULE library = LoadLibraryExA(words[1], NULL, flags);
     if (!library) {
         printf("%s is not loaded: error %lu\n", words[1], GetLastError());
         return 1;
@@ -104,13 +107,13 @@ def differences(here: Any, there: Any, name: str = "") -> Iterator[str]:
 
 
 def load_under_wine(wheel: Path, folder: Path) -> None:
-    """Load the libraries of the Windows wheel, with what they import, and look for each function."""
+    """Load the libraries of the Windows wheel, and look for each function; of the plant's also what it imports."""
     (folder / "loader.c").write_text(_LOADER, encoding="ascii")
     loader = folder / "loader.exe"
     # From there, as when the libraries were compiled: zig then has its C library already.
     _run([*zig(), "-target", "x86_64-windows-gnu", "loader.c", "-o", loader.name], folder=folder)
     with zipfile.ZipFile(wheel) as archive:
-        libraries = [name for name in archive.namelist() if name.endswith(".dll")]
+        libraries = [name for name in archive.namelist() if name.endswith((".dll", ".pyd"))]
         archive.extractall(folder, libraries)
     quiet = {"WINEPREFIX": str(folder / "prefix"), "WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
     for name in libraries:
