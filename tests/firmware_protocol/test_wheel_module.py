@@ -125,6 +125,7 @@ def test_each_call_refuses_what_it_does_not_take(call: str) -> None:
         (lambda: wheel.Row(("a",), (3,), bytes(24), (0, 0, 0)), "a row of 3 columns has no pose at 0"),
         (lambda: wheel.Row(("a",), ((0, 10),), bytes(80), (0, 3, 6)), "a row of 10 columns has no place 10"),
         (lambda: wheel.Client(1, 2, 3, 4, 5, 6), "expected a class of tuples, not 4"),
+        (lambda: new_client(nonce=1 << 16), "a Client with nonce 65536; expected 0 to 65535"),
         (lambda: wheel.Latency(0.5, 1, int), "expected a class of tuples, not <class 'int'>"),
         (lambda: wheel.Tuples(*[Pose] * 8, 3, 4, 5, 6), "expected a class of tuples, not 3"),
         (lambda: wheel.frames(b"", 3), "expected a class of tuples, not 3"),
@@ -345,6 +346,23 @@ def test_a_thousand_calls_leave_no_object_behind() -> None:
 def test_what_calls_leave_behind_is_seen() -> None:
     left: list[bytes] = []
     assert kept_bytes(lambda: left.append(bytes(len(left)))) > 500_000
+
+
+def test_an_object_that_cannot_be_initialised_again_is_as_it_was() -> None:
+    names = everything()
+    client, direct, made = names["client"], names["direct"], tuples._made
+    before = client.feedback(), made.wheels(*FOUR)
+    for again, wrong in (
+        (wheel.Client.__init__, (client, 0, 0, 0, *map(str, range(1000, 1003)))),
+        (wheel.Direct.__init__, (direct, str(1003), False)),
+        (wheel.Tuples.__init__, (made, Pose, str(1004), *[Pose] * 10)),
+        (wheel.Latency.__init__, (names["latency"], 0.5, 1, str(1005))),
+    ):
+        with pytest.raises(TypeError):
+            again(*wrong)
+    assert (client.feedback(), made.wheels(*FOUR)) == before
+    assert type(direct.exchange(names["node"], 0)) is bytes
+    assert type(names["latency"].applied(names["feedback"], 1, 5, None, False)) is Applied
 
 
 def test_objects_free_what_they_hold() -> None:

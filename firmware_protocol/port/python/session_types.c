@@ -31,13 +31,22 @@ INIT(client_init) {
     unsigned char mode;
     unsigned char check;
     int nonce;
+    PyObject *feedback;
+    PyObject *wheels;
+    PyObject *states;
     (void)unused;
-    if (!PyArg_ParseTuple(arguments, "bbiOOO:Client", &mode, &check, &nonce, &it->owned.feedback,
-                          &it->owned.wheels, &it->owned.states) ||
-        !wheel_is_kind(it->owned.feedback) || !wheel_is_kind(it->owned.wheels)) {
+    if (!PyArg_ParseTuple(arguments, "bbiOOO:Client", &mode, &check, &nonce, &feedback, &wheels, &states) ||
+        !wheel_is_kind(feedback) || !wheel_is_kind(wheels)) {
+        return -1;
+    }
+    if (nonce < 0 || nonce > UINT16_MAX) {
+        PyErr_Format(PyExc_ValueError, "a Client with nonce %d; expected 0 to 65535", nonce);
         return -1;
     }
     hold(&it->base.held[0], again(arguments));
+    it->owned.feedback = feedback;
+    it->owned.wheels = wheels;
+    it->owned.states = states;
     wheel_client_init(&it->owned.client, mode, check, (uint16_t)nonce);
     return 0;
 }
@@ -283,10 +292,10 @@ INIT(direct_init) {
     PyObject *there;
     int may_hang;
     (void)unused;
-    if (!PyArg_ParseTuple(arguments, "Op:Direct", &there, &may_hang) ||
-        (direct->there = wheel_owned(there, LINE)) == NULL) {
+    if (!PyArg_ParseTuple(arguments, "Op:Direct", &there, &may_hang) || wheel_owned(there, LINE) == NULL) {
         return -1;
     }
+    direct->there = wheel_owned(there, LINE);
     hold(&HELD_BY(self)[THERE], again(there));
     direct->may_hang = may_hang != 0;
     return 0;

@@ -26,15 +26,15 @@ typedef struct {
 } parts;
 
 INIT(tuples_init) {
+    parts found;
     (void)unused;
-    memset(OWNED(parts, self), 0, sizeof(parts));
     for (Py_ssize_t i = 0; i < PARTS; i++) {
-        PyObject *one = item(arguments, i);
-        if (one == NULL || (i < SPEED && !wheel_is_kind(one))) {
+        found.of[i] = item(arguments, i);
+        if (found.of[i] == NULL || (i < SPEED && !wheel_is_kind(found.of[i]))) {
             return -1;
         }
-        OWNED(parts, self)->of[i] = one;
     }
+    *OWNED(parts, self) = found;
     hold(&HELD_BY(self)[0], again(arguments));
     return 0;
 }
