@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -151,7 +152,9 @@ def _commit() -> str | None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     try:
-        described = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=True)
+        # Without its lock: git refreshes the index else, and one that is killed, as by a limit, leaves the lock there.
+        unlocked = os.environ | {"GIT_OPTIONAL_LOCKS": "0"}
+        described = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=True, env=unlocked)
     except (OSError, subprocess.SubprocessError):
         return None
     return described.stdout.strip()

@@ -84,6 +84,17 @@ def test_with_a_gyro_the_heading_is_doubted_by_its_noise_its_bias_and_the_walk_o
     assert (estimator.status.wheel_scale, estimator.status.fix_noise) == (1.0, 1.0)
 
 
+def test_the_noise_that_is_told_is_a_factor_of_sigma():
+    estimator, told = fused(), PoseCovariance(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
+    for tick in range(400):
+        apart_m = 0.025 if tick % 2 else -0.025
+        pose = Pose(START.x_m + apart_m, START.y_m - apart_m, START.heading_rad)
+        estimator.update(at(tick), None, [MeasuredPose(tick * TICK_NS, pose, told)])
+    noise = estimator._history.newest.noise
+    assert noise > 1.5
+    assert estimator.status.fix_noise == pytest.approx(math.sqrt(noise))
+
+
 @pytest.mark.parametrize("yaw_rate", [0.0, NAN], ids=["gyro", "no gyro"])
 def test_slip_is_doubted_by_its_speed_for_a_fifth_of_a_second(yaw_rate):
     """Front against rear wheels: the body stands, so that nothing else is doubted. The leak's sum is a series."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hil
+from firmware_protocol.extension import library
 from hil.core.signals import LoopSignals
 from hil.core.types import WHEEL_NAMES, Pose, PoseFix, State
 from hil.estimation.estimators import TruthEstimator
@@ -86,7 +87,7 @@ def test_after_a_reset_the_latency_is_measured_by_the_truth_as_before(monkeypatc
 
     def forgetful(meter: CommandLatency) -> None:
         restart(meter)
-        meter._latency.median_s = 0.077
+        library()[0].cast("wheel_latency *", meter.address).median_s = 0.077
 
     monkeypatch.setattr(CommandLatency, "restart", forgetful)
     found = run(fault=RESET, loop__rearm=True, loop__duration_s=0.9, loop__mode="realtime").signals["link.latency_ms"]

@@ -20,6 +20,13 @@ def test_the_example_of_every_kind_loads(tmp_path, kind) -> None:
     assert row.start_ns < row.end_ns
 
 
+@pytest.mark.parametrize("ms", [1001, 1003, 2049, 9999, 16_001])
+def test_a_fault_begins_and_ends_at_its_nanosecond(tmp_path, ms) -> None:
+    given = {"kind": "drop", "target": "command", "value": 0.5, "start_s": ms / 1000, "end_s": (ms + 7) / 1000}
+    row = load(str(write(tmp_path, [given]))).fault[0].row
+    assert (row.start_ns, row.end_ns) == (ms * 1_000_000, (ms + 7) * 1_000_000)
+
+
 def test_the_list_has_every_kind() -> None:
     _, rows = listing("faults")
     assert [row[0] for row in rows] == [kind.name for kind in KINDS]

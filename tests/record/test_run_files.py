@@ -10,6 +10,7 @@ import pytest
 
 from hil.core.signals import INDEX, SIGNAL_NAMES, pack_row
 from hil.record import run_files, started_process
+from hil.record.contents import DamagedError
 from hil.record.decode import decode
 from hil.record.decode_mcap import decode_mcap
 from hil.record.files import numbered_path
@@ -331,3 +332,31 @@ def test_a_port_that_cannot_be_served_is_refused_at_the_start_and_told_later(
     missing = {"viewer": {"live": "no_rerun:Viewers"}, "restarts": 0}
     with pytest.raises(run_files.RefusedError, match=r"'no_rerun'; install rerun-sdk==0.41.\*, or run without --live$"):
         Recorder(config | missing, ring[1])
+
+
+def test_a_file_that_is_cut_where_a_record_ends_has_all_records_before(memory: Memory, tmp_path: Path) -> None:
+    files = memory.files()
+    put(memory, 0, 20)
+    for stop in (3, 9, 20):
+        files.event(0.001 * stop, "info", f"before {stop}")
+        files.write_until(stop)
+    files.finish({"passed": True})
+    data = (tmp_path / "run.mcap").read_bytes()
+    ends, place = [], 8  # magic; then records of kind, length and content
+    while place + 9 < len(data) - 8:
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+        ends.append(place)
+
+    def found(length: int) -> tuple[list[float], list[str]]:
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(data[:length])
+        try:
+            run = decode_mcap(cut)
+        except DamagedError:  # before the first row
+            return [], []
+        return run.signals["loop.tick"].tolist(), [text for *_, text in run.events]
+
+    whole = [found(end) for end in ends]
+    assert [found(end + 1) for end in ends] == whole, "a byte of the next record changes nothing"
+    assert whole[-1] == ([*range(20)], ["before 3", "before 9", "before 20"])
+    assert len({len(ticks) for ticks, _ in whole}) > 3

@@ -279,6 +279,7 @@ def test_a_base_that_cannot_be(extends: str, sentence: str) -> None:
         ("robot..mass_kg=3", "expected a dotted key such as robot.mass_kg"),
         ("reference.radus_m=3", "--set: unknown key reference.radus_m; did you mean 'reference.radius_m'?"),
         ("expect.2.below=3", "--set expect.2.below: expected expect.N.KEY with the row N from 1 to 1"),
+        ("expect.0.below=3", "--set expect.0.below: expected expect.N.KEY with the row N from 1 to 1"),
         ("expect.first.below=3", "expected expect.N.KEY"),
         ("expect.1=3", "--set: expect.1 = 3; expected a table"),
         ("fault.1.kind=drop", "--set fault.1.kind: there is no [[fault]] to change"),

@@ -16,7 +16,16 @@ from scipy import stats
 from hil.addons.batch.campaign import campaign_page, judged
 from hil.addons.batch.campaign.campaign import Campaign
 from hil.addons.batch.campaign.campaign_file import load_plan, points
-from hil.addons.batch.campaign.judged import Duel, Interval, Judged, Rate, duel_words, paired_difference, percent
+from hil.addons.batch.campaign.judged import (
+    COMPARED,
+    Duel,
+    Interval,
+    Judged,
+    Rate,
+    duel_words,
+    paired_difference,
+    percent,
+)
 from hil.addons.batch.columns import KEY, MACHINE
 from hil.addons.batch.results_page import Page
 from hil.addons.batch.store import RECORDINGS, Store
@@ -349,3 +358,15 @@ def test_an_interval_does_not_depend_on_how_much_is_drawn_at_once(monkeypatch: p
     whole = paired_difference(range(12), np.arange(12.0) ** 2)
     monkeypatch.setattr(judged, "_MOST_AT_ONCE", 700 * 12)  # as of a campaign with many draws
     assert paired_difference(range(12), np.arange(12.0) ** 2) == whole
+
+
+def test_of_two_laws_that_are_equal_in_a_run_neither_has_less() -> None:
+    judged = object.__new__(Judged)
+    judged.about = {"laws": ["a", "b"], "axes": {}, "samples": 1, "seeds": 4}
+    judged._unit = "seed"
+    judged.rows = [
+        {"law": law, "fault": "none", "seed": seed, "sample": 0, **dict.fromkeys(COMPARED, value)}
+        for law, values in (("a", (1.0, 2.0, 3.0, 4.0)), ("b", (1.0, 2.0, 5.0, 1.0)))
+        for seed, value in enumerate(values)
+    ]
+    assert {duel.first_less for duel in judged.duels} == {0.25}

@@ -12,12 +12,13 @@ from typer.testing import CliRunner
 
 import hil
 from hil.addons.batch.comparison.comparison import entries
-from hil.addons.batch.comparison.random_cases import Tried, cases, run, try_laws
+from hil.addons.batch.comparison.random_cases import Tried, _needed_a, cases, run, try_laws
 from hil.addons.batch.job import ENDED, LOST, PASSED, REFUSED, Outcome
 from hil.addons.batch.keys import make_job
 from hil.cli.main import app
 from hil.core.errors import BadInputError
 from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
+from hil.runtime.run_parts import RunParts
 from hil.scenario import load, set_texts
 from tests.support.processes import ROOT
 
@@ -105,6 +106,38 @@ def test_what_a_reference_needs_is_that_of_the_circle_by_hand() -> None:
     largest = robot.wheel_radius_m / 4.0 * math.sqrt(2.0) * force_n * omega
     # Over the last third, half a turn, two wheels have any phase; on average over the four the mean is that of a turn.
     assert outcome.figures["needed"] == pytest.approx(2.0 / math.pi * largest, rel=0.01)
+
+
+def test_the_currents_that_a_reference_needs_are_those_of_its_heading_on_the_way() -> None:
+    sets = {
+        "reference.heading": "path",
+        "reference.heading_rad": 0.4,
+        "plant.start.mass_kg": 25.0,
+        "robot.friction_coefficient": 0.0,
+    }
+    scenario = load(SCENARIO, set=sets | {"plant.start.friction_coefficient": 0.0})
+    robot, t_s = scenario.robot, np.array([6.0, 8.5, 11.0])
+    source, found = RunParts(scenario).reference, _needed_a(scenario, t_s, 2.0)
+    lever_m, k_kg = robot.half_length_m + robot.half_width_m, 4.0 * robot.wheel_inertia_kg_m2 / robot.wheel_radius_m**2
+    for place, one in enumerate(t_s):
+        pose, twist, acceleration = source.at(float(one))
+        c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+        vx, vy, yaw_rate = twist
+        force = np.array(
+            [
+                (25.0 + k_kg) * acceleration[0] + k_kg * yaw_rate * vy,
+                (25.0 + k_kg) * acceleration[1] - k_kg * yaw_rate * vx,
+                (robot.inertia_kg_m2 + k_kg * lever_m**2) * acceleration[2],
+            ]
+        )
+        body = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ force
+        # Body forces of wheel torques: rows forward, left, turn; wheels FL, FR, RR, RL.
+        of_wheels = (
+            np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-lever_m, lever_m, lever_m, -lever_m]]) / robot.wheel_radius_m
+        )
+        torques = np.linalg.pinv(of_wheels) @ body
+        assert [series[place] for series in found.values()] == pytest.approx(torques / 2.0)
+    assert np.ptp([source.at(float(one)).pose.heading_rad for one in t_s]) > 0.5
 
 
 OF_THE_REFERENCE = 4.0
