@@ -42,7 +42,9 @@ def library() -> tuple[Any, Any]:
 
 @functools.cache
 def loaded() -> Loaded:
-    """Load the library once, and return it with its hashes. Raises as ``library``."""
+    """Load the library once, and return it with its hashes. Raises as ``library``, and in a Python without a GIL."""
+    if sysconfig.get_config_var("Py_GIL_DISABLED"):
+        raise BuildError("this Python has no GIL, and the extension module needs one; use the usual build of Python")
     if OTHER is None:
         WHEEL_HOST.make_current()
     path = WHEEL_HOST.path if OTHER is None else Path(OTHER)
@@ -73,8 +75,6 @@ else:
             return type(name, (), {"__new__": refuse})
 
     def _imported() -> Any:
-        if sysconfig.get_config_var("Py_GIL_DISABLED"):
-            return _Absent("this Python has no GIL, and the extension module needs one; use the usual build of Python")
         try:
             loaded()
         except BuildError as error:

@@ -91,15 +91,16 @@ class MotionLimits:
         self._motion.wheel_radius_m, self._motion.lever_m = self._model.wheel_radius_m, self._model.lever_m
         self._motion.ahead_s, self._motion.lag_s = ahead_s, _LAG_S
         self._motion.most_slip_rad_s = _SLIP_BEGIN * self._slip_rad_s
+        self._unpack = ffi.unpack
         self.is_near: Callable[[Wheels, int, State, float, float], bool] = moves.add
 
     def _seen(self) -> _Seen:
-        motion = self._motion
+        motion, unpack = self._motion, self._unpack
         return _Seen(
-            Wheels(*motion.speed_rad_s),
-            Wheels(*motion.coming_rad_s),
-            Wheels(*motion.slip_rad_s),
-            Wheels(*motion.coming_slip_rad_s),
+            Wheels(*unpack(motion.speed_rad_s, 4)),
+            Wheels(*unpack(motion.coming_rad_s, 4)),
+            Wheels(*unpack(motion.slip_rad_s, 4)),
+            Wheels(*unpack(motion.coming_slip_rad_s, 4)),
             motion.steps,
         )
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import serial
 
-from firmware_protocol.extension import wheel
-from hil.core.errors import LinkError
+from firmware_protocol.built import BuildError
+from firmware_protocol.extension import library, wheel
+from hil.core.errors import BadInputError, LinkError
 from hil.wire.reopening import OpeningBeside
 from hil.wire.serial_failures import GONE, LIST_PORTS, PORT_ERRORS, is_gone, opening_problem, words_of
 
@@ -44,6 +45,10 @@ class Terminal:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
+        try:
+            library()
+        except BuildError as error:
+            raise BadInputError(str(error)) from error
         self._quiet_until_ns = 0
 
     def write(self, data: bytes) -> int:

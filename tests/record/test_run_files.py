@@ -19,22 +19,13 @@ from hil.record.recorder import BATCH_AGE_S, Recorder
 from hil.record.ring import RingReader, RingWriter, SharedBlock, ring_bytes
 from hil.record.run_files import RunFiles
 from hil.record.started_process import StallTimeout
+from tests.support.clocks import StandingClock
 from tests.support.recorded_circle import Memory, circle_rows
 
 
-class Clock:
-    """A monotonic clock that stands still until it is set."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> StandingClock:
+    clock = StandingClock()
     monkeypatch.setattr(run_files, "time", clock)
     return clock
 
@@ -105,7 +96,7 @@ def test_a_file_ends_after_the_batch_with_which_it_has_its_size(
 
 
 def test_the_next_file_is_tried_after_pauses_that_double_up_to_eight_seconds(
-    memory: Memory, tmp_path: Path, clock: Clock
+    memory: Memory, tmp_path: Path, clock: StandingClock
 ) -> None:
     tried: list[float] = []
 
@@ -136,7 +127,7 @@ def test_the_next_file_is_tried_after_pauses_that_double_up_to_eight_seconds(
 
 
 def test_a_second_file_takes_no_other_ones_place_and_leaves_room_on_the_disk(
-    memory: Memory, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    memory: Memory, tmp_path: Path, clock: StandingClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     memory._config["rotate"] = [None, 0.01]
     second, third = (numbered_path(tmp_path / "run.mcap", number) for number in (2, 3))
@@ -169,7 +160,7 @@ def test_a_second_file_takes_no_other_ones_place_and_leaves_room_on_the_disk(
 
 
 def test_while_no_file_can_be_written_the_newest_half_of_the_ring_is_kept(
-    memory: Memory, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    memory: Memory, tmp_path: Path, clock: StandingClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_files, "BATCH_ROWS", 10)
     memory._config["quota_bytes"] = 1_000_000
@@ -206,7 +197,7 @@ def test_waits_are_counted_anew_after_each_step_of_the_other_process(monkeypatch
 
 
 def test_what_cannot_be_finished_is_tried_once_more_and_then_told(
-    memory: Memory, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    memory: Memory, tmp_path: Path, clock: StandingClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The file vanishes when the end of the run is written, and so does the next one."""
     files = memory.files()
@@ -275,7 +266,7 @@ def test_viewers_get_each_row_at_the_poll_after_it_and_a_batch_is_half_the_ring(
 ) -> None:
     import hil.record.recorder as recorder_module
 
-    clock, (writer, reader) = Clock(), ring
+    clock, (writer, reader) = StandingClock(), ring
     monkeypatch.setattr(recorder_module, "time", clock)
     config = {"path": None, "live_port": 9876, "restarts": 0, "viewer": {"live": f"{__name__}:Viewers"}}
     recorder = Recorder(config | {"recording_id": "one", "signals": [], "properties": {}}, reader)

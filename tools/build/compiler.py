@@ -116,7 +116,8 @@ def _import_library(header: Path, folder: Path) -> Path:
     names = [f"{data} DATA" if data else function for data, function in found]
     (names_file := folder / "python3.def").write_text("\n".join(["LIBRARY python3.dll", "EXPORTS", *names]) + "\n")
     made = folder / "python3.lib"
-    tool = [*zig()[: zig().index("cc")], "dlltool", "-m", "i386:x86-64"]
+    command = zig()
+    tool = [*command[: command.index("cc")], "dlltool", "-m", "i386:x86-64"]
     _run([*tool, "-d", str(names_file), "-D", "python3.dll", "-l", str(made)])
     return made
 

@@ -88,8 +88,7 @@ PyObject *wheel_tuple_of(PyObject *kind, PyObject *const *values, Py_ssize_t cou
 PyObject *wheel_floats(PyObject *kind, const double *values, Py_ssize_t count) {
     PyObject *tuple = new_tuple(kind, count);
     for (Py_ssize_t i = 0; tuple != NULL && i < count; i++) {
-        PyTuple_SetItem(tuple, i,
-                        PyFloat_FromDouble(values[i])); /* without memory an item is NULL, which is one */
+        PyTuple_SetItem(tuple, i, PyFloat_FromDouble(values[i]));
     }
     return tuple;
 }
@@ -240,14 +239,12 @@ static PyMethodDef functions[] = {
            "Return whether pose and twist, with which a motion begins, are finite."),
     METHOD("difference", difference, METH_FASTCALL,
            "Return one motion minus another in six numbers, the heading from -pi to pi; the first's heading; "
-           "the second's "
-           "twist, and the first's."),
-    METHOD("wheel_torques", wheel_torques, METH_FASTCALL,
-           "Return the torques of four wheels for a world acceleration at a twist and heading, without "
-           "friction: "
-           "B+ (M a + C). The first two are effective mass, the wheels' part of it [kg] and effective yaw "
-           "inertia [kg m2]; "
-           "wheel radius and lever [m] (hil/core/model.py)."),
+           "the second's twist, and the first's."),
+    METHOD(
+        "wheel_torques", wheel_torques, METH_FASTCALL,
+        "Return the torques of four wheels for a world acceleration at a twist and heading, without "
+        "friction: B+ (M a + C). The first two are effective mass, the wheels' part of it [kg] and effective "
+        "yaw inertia [kg m2]; wheel radius and lever [m] (hil/core/model.py)."),
     METHOD("frames", frames, METH_FASTCALL, "Return packed frames as a tuple of (id, payload) of a class."),
     METHOD("split", split, METH_FASTCALL,
            "Return the packed frames with an id below a limit, and the others."),
@@ -267,8 +264,9 @@ static PyModuleDef definition = {
     .m_methods = functions,
 };
 
-WHEEL_EXPORTED PyObject *PyInit__wheel(void);
-WHEEL_EXPORTED PyObject *PyInit__wheel(void) {
+/* Without __declspec(dllexport): a linker of Windows exports all that cffi calls only if nothing has it. */
+PyObject *PyInit__wheel(void);
+PyObject *PyInit__wheel(void) {
     wheel_specs_of_session[NODE].basicsize = (int)(sizeof(owner) + wheel_host_size());
     PyObject *module = PyModule_Create2(&definition, PYTHON_ABI_VERSION);
     for (size_t i = 0; module != NULL && i < TYPES; i++) {

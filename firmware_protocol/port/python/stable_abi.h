@@ -89,7 +89,6 @@ typedef struct {
 #define METH_NOARGS 0x0004
 #define METH_O 0x0008
 #define T_DOUBLE 4
-#define T_LONGLONG 17
 #define T_OBJECT_EX 16
 #define READONLY 1
 #define Py_TPFLAGS_BASETYPE (1UL << 10)
@@ -107,10 +106,8 @@ typedef struct {
 
 #ifdef _WIN32
 #define WHEEL_IMPORTED __declspec(dllimport)
-#define WHEEL_EXPORTED __declspec(dllexport)
 #else
 #define WHEEL_IMPORTED
-#define WHEEL_EXPORTED __attribute__((visibility("default")))
 #endif
 
 #ifndef WHEEL_ABI_TYPES
@@ -121,7 +118,6 @@ WHEEL_IMPORTED extern PyTypeObject PyTuple_Type;
 WHEEL_IMPORTED extern PyObject *PyExc_TypeError;
 WHEEL_IMPORTED extern PyObject *PyExc_ValueError;
 WHEEL_IMPORTED extern PyObject *PyExc_RuntimeError;
-WHEEL_IMPORTED extern PyObject *PyExc_MemoryError;
 void Py_IncRef(PyObject *);
 void Py_DecRef(PyObject *);
 PyObject *PyErr_Occurred(void);
@@ -145,8 +141,6 @@ int PyBytes_AsStringAndSize(PyObject *, char **, Py_ssize_t *);
 int PyObject_GetBuffer(PyObject *, Py_buffer *, int);
 void PyBuffer_Release(Py_buffer *);
 int PyUnicode_Compare(PyObject *, PyObject *);
-void *PyMem_Calloc(size_t, size_t);
-void PyMem_Free(void *);
 PyObject *PyType_FromSpec(PyType_Spec *);
 void *PyType_GetSlot(PyTypeObject *, int);
 PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);

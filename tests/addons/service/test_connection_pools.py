@@ -14,6 +14,7 @@ from hil.addons.service import logs
 from hil.addons.service.api import connections
 from hil.addons.service.api.access import Access
 from hil.addons.service.api.connections import ConnectionPools, HttpConnection
+from tests.support.clocks import StandingClock
 
 
 class One:
@@ -28,17 +29,9 @@ class One:
         return self.is_ending
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    one = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> StandingClock:
+    one = StandingClock()
     monkeypatch.setattr(connections, "time", one)
     monkeypatch.setattr(connections, "_SWEEP_S", 0.0)
     return one
@@ -66,7 +59,7 @@ def swept(pools: ConnectionPools, *steps: Callable[[], object]) -> None:
 
 
 def test_each_connection_has_the_time_of_its_pool_and_a_websocket_has_no_limit(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock
+    monkeypatch: pytest.MonkeyPatch, clock: StandingClock
 ) -> None:
     pools = pools_of(monkeypatch)
     stranger, resting, asking, live, ending = One(), One(is_known=True), One(is_known=True), One(), One()
@@ -101,7 +94,7 @@ def test_each_connection_has_the_time_of_its_pool_and_a_websocket_has_no_limit(
 
 @pytest.mark.parametrize(("files", "share"), [(704.0, 1.0), (10_000.0, 1.0), (352.0, 0.5)])
 def test_of_a_full_pool_the_oldest_goes_and_pools_are_as_large_as_files_allow(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock, files: float, share: float
+    monkeypatch: pytest.MonkeyPatch, clock: StandingClock, files: float, share: float
 ) -> None:
     pools = pools_of(monkeypatch, files)
     for most, is_known, in_request in ((256, False, True), (128, True, False), (128, True, True)):
@@ -117,7 +110,7 @@ def test_of_a_full_pool_the_oldest_goes_and_pools_are_as_large_as_files_allow(
     assert pools.dropped == {"crowded": 3}
 
 
-def test_a_connection_that_has_its_answer_waits_anew(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
+def test_a_connection_that_has_its_answer_waits_anew(monkeypatch: pytest.MonkeyPatch, clock: StandingClock) -> None:
     monkeypatch.setattr(H11Protocol, "on_response_complete", lambda _: None)
     monkeypatch.setattr(H11Protocol, "connection_lost", lambda *_: None)
     pools = pools_of(monkeypatch)
@@ -141,7 +134,7 @@ def test_a_connection_that_has_its_answer_waits_anew(monkeypatch: pytest.MonkeyP
 
 
 def test_what_was_dropped_is_one_line_in_ten_seconds(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, clock: StandingClock, caplog: pytest.LogCaptureFixture
 ) -> None:
     pools = pools_of(monkeypatch)
 
@@ -198,7 +191,7 @@ def test_as_many_files_are_opened_as_may_be_up_to_what_is_needed(
     [("t" * 16, False, 40.0), ("t" * 16, True, 10.0), ("u" * 16, False, 2.0), ("u" * 16, True, 2.0)],
 )
 def test_a_request_has_the_time_of_its_token_and_a_whole_one_that_of_its_answer(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock, token: str, more_body: bool, limit_s: float
+    monkeypatch: pytest.MonkeyPatch, clock: StandingClock, token: str, more_body: bool, limit_s: float
 ) -> None:
     def begun(self: Any) -> None:
         self.cycle = SimpleNamespace(response_complete=False, more_body=more_body)
@@ -219,7 +212,7 @@ def test_a_request_has_the_time_of_its_token_and_a_whole_one_that_of_its_answer(
 
 
 def test_a_websocket_with_a_token_is_known_and_has_its_own_share_and_that_of_the_token(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock
+    monkeypatch: pytest.MonkeyPatch, clock: StandingClock
 ) -> None:
     monkeypatch.setattr(logs, "time", clock)
     pools = pools_of(monkeypatch)
