@@ -6,7 +6,6 @@ when it knows all noises) and that of a smoother that knows the whole run (Rauch
 """
 
 import argparse
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,12 +21,11 @@ from hil.core.outputs import write_whole
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
 from hil.estimation.estimators import EstimatorOptions, FilterOptions
 from hil.estimation.fused import FusedEstimator
-from hil.estimation.kalman import Acceptance, Belief, Step, corrected, gate_of, moved, start
 from hil.estimation.measurement import Measurement
-from hil.estimation.wheel_motion import MotionReader
 from hil.runtime import run_parts
 from hil.runtime.assembly import RunOptions, run_scenario
 from hil.scenario import load
+from tools.fused_oracle import Noises, best, slip_bound_m
 
 Array = npt.NDArray[np.float64]
 
@@ -41,8 +39,8 @@ SENSORS = {
     "plant.start.gyro_bias_z_rad_s": 0.02,
     "plant.start.accelerometer_noise_m_s2": 0.2,
 }
-ROLLING_SIGMA_M = 1e-4
-"""Drift of these plants' wheels in 1 m, where they do not slip."""
+NOISES = Noises(start=(0.01, 0.01, 0.01, 0.02, 0.005), rolled_m=1e-4, gyro_rad_s=0.01)
+"""Those of these runs: how well the start is known, the drift of wheels that do not slip, and the gyro."""
 
 
 class Condition(NamedTuple):
@@ -90,6 +88,16 @@ def conditions() -> Iterator[Condition]:
         yield Condition(words, "circle_speed", {"plant.start.contact": "slip", "fault": [wrong]}, has_oracle=False)
 
 
+class Believed(NamedTuple):
+    """The position that the filter believes in, before it is released to the law, and its covariance [m²]."""
+
+    x_m: float
+    y_m: float
+    xx: float
+    xy: float
+    yy: float
+
+
 class Kept(FusedEstimator):
     """A fused estimator that keeps its inputs, and its belief after each update."""
 
@@ -97,7 +105,7 @@ class Kept(FusedEstimator):
         super().__init__(model, start_pose, counts, slip_m_s, options)
         self.made_with = model, start_pose, counts
         self.given: list[tuple[Measurement, list[MeasuredPose]]] = []
-        self.beliefs: list[Belief] = []
+        self.beliefs: list[Believed] = []
 
     def update(
         self, measurement: Measurement, truth: PoseFix | None, fixes: Sequence[MeasuredPose] = ()
@@ -105,9 +113,15 @@ class Kept(FusedEstimator):
         """Update, and keep what was given and is believed."""
         self.given.append((measurement, list(fixes)))
         state = super().update(measurement, truth, fixes)
-        assert self._history is not None
-        self.beliefs.append(self._history.newest)
+        self.beliefs.append(self._believed())
         return state
+
+    def _believed(self) -> Believed:
+        """The only place here that looks into the filter."""
+        assert self._history is not None
+        belief = self._history.newest
+        covariance = belief.covariance
+        return Believed(belief.x_m, belief.y_m, covariance.xx, covariance.xy, covariance.yy)
 
 
 class Outcome(NamedTuple):
@@ -141,8 +155,9 @@ def outcome(condition: Condition, seed: int) -> Outcome:
     told = np.array([signals["pose.x_m"], signals["pose.y_m"]])
     bound_m2, smoothed_m = np.nan, np.array([])
     if condition.has_oracle and seed <= ORACLE_SEEDS:
-        estimates, bound_m2 = _oracle(estimator, int(np.count_nonzero(counts)))
-        smoothed_m = np.hypot(*(estimates.T[:2, -count:] - truth))[counts]
+        bounds = best(*estimator.made_with, estimator.given, NOISES)
+        bound_m2 = float(np.mean(bounds.causal_m2[-count:][counts]))
+        smoothed_m = np.hypot(*(bounds.smoothed.T[:2, -count:] - truth))[counts]
     return Outcome(
         signals["error.planar_m"][counts],
         np.hypot(*(told - truth))[counts],
@@ -152,103 +167,17 @@ def outcome(condition: Condition, seed: int) -> Outcome:
     )
 
 
-def _nees(beliefs: Sequence[Belief], truth: Array) -> Array:
+def _nees(beliefs: Sequence[Believed], truth: Array) -> Array:
     """Return half of the normalised squared error of the position in each tick: 1 on average for an honest filter."""
-    x, y = np.array([(one.x_m, one.y_m) for one in beliefs]).T - truth
-    xx, xy, yy = np.array([(one.covariance.xx, one.covariance.xy, one.covariance.yy) for one in beliefs]).T
+    x_m, y_m, xx, xy, yy = np.array(beliefs).T
+    x, y = x_m - truth[0], y_m - truth[1]
     squared: Array = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / (xx * yy - xy**2)
     return squared / 2.0
 
 
-def _oracle(kept: Kept, settled: int) -> tuple[Array, float]:
-    """Return the smoothed states of a run, and the mean variance [m²] of a causal filter that knows all noises."""
-    options = FilterOptions(
-        wheels_sigma_m=ROLLING_SIGMA_M, gyro_bias_walk_rad_s=1e-9, gate_probability=0.999999, fix_noise_most=1.0
-    )
-    causal = Kept(*kept.made_with, 100.0, options)
-    for measurement, fixes in kept.given:
-        causal.update(measurement, None, fixes)
-    variances = [one.covariance.xx + one.covariance.yy for one in causal.beliefs[-settled:]]
-    return _smoothed(kept, options), float(np.mean(variances))
-
-
-def _smoothed(kept: Kept, options: FilterOptions) -> Array:
-    """Return (x, y, heading, bias, scale) at each measurement from all fixes of the run, early and late."""
-    model, pose, counts = kept.made_with
-    acceptance = Acceptance(gate_of(options.gate_probability), options.restart_after, 0.0, 1.0)
-    fixes = sorted(fix for _, given in kept.given for fix in given)
-    measured = [measurement for measurement, _ in kept.given]
-    reader = MotionReader(model, counts)
-    sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
-    belief = start(measured[0].robot_time_ns, pose, *sigmas, options.wheels_scale_sigma)
-    forward = [(belief, belief, np.eye(5))]
-    ends: list[int] = [0]
-    for last, now in itertools.pairwise(measured):
-        begin_ns, end_ns = last.robot_time_ns, now.robot_time_ns
-        if end_ns == begin_ns:
-            ends.append(len(forward) - 1)
-            continue
-        motion = reader.between(last, now)
-        way_m = np.hypot(motion.forward_m, motion.left_m) + model.lever_m * abs(motion.turned_rad)
-        noise = ROLLING_SIGMA_M**2 * way_m, (options.gyro_noise_rad_s * motion.dt_s) ** 2, 0.0
-        step = Step(motion.forward_m, motion.left_m, motion.gyro_rad, motion.dt_s, *noise)
-        while begin_ns < end_ns:
-            due = [fix for fix in fixes if begin_ns < fix.time_ns <= end_ns][:1]
-            to_ns = due[0].time_ns if due else end_ns
-            share = (to_ns - begin_ns) / (end_ns - last.robot_time_ns)
-            before, predicted = belief, moved(belief, step, to_ns, share)
-            belief = corrected(predicted, due[0], acceptance) if due else predicted
-            forward.append((predicted, belief, _jacobian(before, step, to_ns, share)))
-            begin_ns = to_ns
-        ends.append(len(forward) - 1)
-    states = [_numbers(forward[-1][1])]
-    for (_, filtered, _), (predicted, _, jacobian) in zip(forward[-2::-1], forward[:0:-1], strict=True):
-        gain = np.linalg.solve(_matrix(predicted), jacobian @ _matrix(filtered)).T
-        states.append(_numbers(filtered) + gain @ (states[-1] - _numbers(predicted)))
-    return np.array(states[::-1])[ends]
-
-
-def _jacobian(belief: Belief, step: Step, time_ns: int, share: float, width: float = 1e-6) -> Array:
-    columns = []
-    for direction in width * np.eye(5):
-        x, y, heading, bias, scale = _numbers(belief) + direction
-        shifted = belief._replace(x_m=x, y_m=y, heading_rad=heading, bias_rad_s=bias, scale=scale)
-        columns.append(_numbers(moved(shifted, step, time_ns, share)) - _numbers(moved(belief, step, time_ns, share)))
-    return np.array(columns).T / width
-
-
-def _numbers(belief: Belief) -> Array:
-    return np.array([belief.x_m, belief.y_m, belief.heading_rad, belief.bias_rad_s, belief.scale])
-
-
-def _matrix(belief: Belief) -> Array:
-    full = np.zeros((5, 5))
-    full[np.triu_indices(5)] = belief.covariance
-    return full + np.triu(full, 1).T
-
-
-def slip_bound_m(slip_s: float = 0.88, bias_m_s2: float = 0.05) -> float:
-    """Return the deviation [m] along one axis at the end of slip of a filter that knows all but the bias's value.
-
-    It knows start, noises, latency and the deviation of the accelerometer's bias; its states are position, velocity and
-    that bias, and the last fix to have come is 0.1 s old.
-    """
-    dt_s, every, latency = 0.005, 20, 20
-    ticks = round(slip_s / dt_s)
-    moves = np.array([[1.0, dt_s, 0.0], [0.0, 1.0, -dt_s], [0.0, 0.0, 1.0]])
-    noise = np.diag([0.0, (SENSORS["plant.start.accelerometer_noise_m_s2"] * dt_s) ** 2, 0.0])
-    covariance = np.diag([0.0, 0.0, bias_m_s2**2])
-    for tick in range(1, ticks + 1):
-        covariance = moves @ covariance @ moves.T + noise
-        if tick % every == 0 and tick <= ticks - latency:
-            gain = covariance[:, 0] / (covariance[0, 0] + 0.02**2)
-            covariance = covariance - np.outer(gain, covariance[0])
-    return float(np.sqrt(covariance[0, 0]))
-
-
 def beyond(seeds: int, limit_m: float = 0.03) -> str:
     """Return the sentence on how often the worst of so many seeds must be beyond a limit when slip ends."""
-    sigma_m = slip_bound_m()
+    sigma_m = slip_bound_m(SENSORS["plant.start.accelerometer_noise_m_s2"])
     share = 1.0 - (1.0 - math.exp(-0.5 * (limit_m / sigma_m) ** 2)) ** seeds
     return (
         f"When 0.88 s of slip end, a filter that knows start and noises, and the accelerometer's bias to 0.05 m/s² an "
