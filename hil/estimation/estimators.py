@@ -145,7 +145,7 @@ class OdometryEstimator(Estimator):
     def __init__(self, model: RobotModel, start: Pose, counts_per_revolution: int, slip_threshold_m_s: float) -> None:
         self._model = model
         self._reader = MotionReader(model, counts_per_revolution)
-        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
+        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s, self._reader.count_m)
         self._pose = start
         self._last: Measurement | None = None
 

@@ -190,7 +190,7 @@ class FusedEstimator(Estimator):
             options.fix_noise_most**2,
         )
         self._reader = MotionReader(model, counts_per_revolution)
-        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s)
+        self._slip = SlipDetector(model.lever_m, slip_threshold_m_s, self._reader.count_m)
         self._inertial = Inertial()
         self._last: Measurement | None = None
         self._history: History | None = None

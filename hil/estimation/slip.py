@@ -14,6 +14,8 @@ _USUAL_TIMES = 4.0
 _USUAL_S = 5.0
 # A contradiction counts as at most this many times the usual one, so lasting slip raises the usual one only slowly.
 _MOST_UNUSUAL = 2.0
+# Of a count: root mean square of a displacement in the plane by four angles, each with two errors spread evenly.
+_COUNTED = math.sqrt(1.0 / 12.0)
 # After more than this many usual intervals, measurements were lost.
 _LOST = 1.5
 # The usual interval is the mean of this many, fewer at the start. A longer one than 4 usual ones enters it as 4.
@@ -31,15 +33,18 @@ class SlipDetector:
     cancels out. Slip begins when one exceeds its threshold and ends when each is below half of its own. An unknown bias
     of the gyro adds to its difference, times ``lever_m``, and one of the accelerometer times 0.2 s.
 
-    The threshold is ``threshold_m_s``. That of the accelerometer is four times the usual root mean square of its
-    difference, if that is larger: it may shake. Its value is the mean of the last interval alone, so over lost
-    measurements the accelerometer is not compared.
+    The threshold is ``threshold_m_s``, or as much as wheels that roll may differ by where their encoders move on by
+    ``count_m`` at once. That of the accelerometer is four times the usual root mean square of its difference, if that
+    is larger: it may shake. Its value is the mean of the last interval alone, so over lost measurements the
+    accelerometer is not compared.
     """
 
-    def __init__(self, lever_m: float, threshold_m_s: float) -> None:
+    def __init__(self, lever_m: float, threshold_m_s: float, count_m: float = 0.0) -> None:
         self._lever_m = lever_m
-        self._threshold_m_s = threshold_m_s
+        # Each of four angles is wrong by up to half a count, now and when the sum began.
+        self._threshold_m_s = max(threshold_m_s, count_m / _WINDOW_S)
         self._least_m2_s2 = self._usual_m2_s2 = (threshold_m_s / _USUAL_TIMES) ** 2
+        self._count_m = _COUNTED * count_m
         self.restart()
 
     def restart(self) -> None:
@@ -116,4 +121,4 @@ class SlipDetector:
         usual_m2_s2 = self._usual_m2_s2
         found_m2_s2 = min(self._forward_m_s**2 + self._left_m_s**2, _MOST_UNUSUAL**2 * usual_m2_s2)
         learnt_m2_s2 = usual_m2_s2 + min(dt_s / _USUAL_S, 1.0) * (found_m2_s2 - usual_m2_s2)
-        self._usual_m2_s2 = max(learnt_m2_s2, self._least_m2_s2)
+        self._usual_m2_s2 = max(learnt_m2_s2, self._least_m2_s2, (self._count_m / dt_s) ** 2)

@@ -47,7 +47,7 @@ class MotionReader:
     Over a gap of more than 0.1 s, as after a lost link, no rate is integrated: the robot may have stopped just after
     the first measurement. Gyro and accelerometer then give NaN, and a speed counts for at most 0.1 s.
 
-    Raises BadInputError for less than one count per revolution.
+    ``count_m`` is how far a rim moves in one count. Raises BadInputError for less than one count per revolution.
     """
 
     def __init__(self, model: RobotModel, counts_per_revolution: int) -> None:
@@ -57,6 +57,7 @@ class MotionReader:
             )
         self._model = model
         self._rad_per_count = math.tau / counts_per_revolution
+        self.count_m = self._rad_per_count * model.wheel_radius_m
 
     def between(self, last: Measurement, now: Measurement) -> Motion:
         """Return the motion from one measurement to a later one."""

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from firmware_protocol.generated.messages import State
+from hil.core.model import RobotModel
+from hil.core.types import Wheels
 from hil.estimation.slip import SlipDetector
-from hil.estimation.wheel_motion import Motion
+from hil.estimation.wheel_motion import Motion, MotionReader
+from hil.robot.snapshot import Feedback
 
 LEVER_M, THRESHOLD_M_S = 0.55, 0.1
 STILL = Motion(0.005, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -107,3 +111,27 @@ def test_a_restart_forgets_slip_and_what_was_before() -> None:
     assert not used.is_slipping
     for motion in (STILL, STILL._replace(forward_m=1e-5), STILL._replace(dt_s=0.02, gained_left_m_s=1.0), STILL):
         assert used.update(motion) == fresh.update(motion)
+
+
+@pytest.mark.parametrize("counts", [64, 256, 1024, 8192])
+@pytest.mark.parametrize(("radius_m", "dt_s"), [(0.03, 0.005), (0.075, 0.01), (0.2, 0.05)])
+def test_wheels_that_roll_do_not_slip_however_coarse_their_encoders_are(
+    counts: int, radius_m: float, dt_s: float
+) -> None:
+    """A robot that speeds up and turns, by the exact angles of its wheels cut to counts; then one wheel spins."""
+    model = RobotModel(20.0, 0.56, radius_m, 0.3, 0.3, 0.005, torque_limit_n_m=5.0, speed_limit_rad_s=20.0)
+    reader = MotionReader(model, counts)
+    detector, zero = SlipDetector(model.lever_m, 0.05, reader.count_m), Wheels(0.0, 0.0, 0.0, 0.0)
+    last = Feedback(0, State.ACTIVE, 0, 0, (0, 0, 0, 0), zero, zero, (0.0, 0.0, 9.81), 0.0)
+    begin = np.random.default_rng(counts).uniform(0.0, 1.0, 4)  # of a count
+    for t_s in np.arange(dt_s, 6.0, dt_s):
+        # Forward, and half of it to the left; from 5 s on the front left rim goes 3 m/s faster.
+        way_m, forward_m_s2 = 0.5 * (t_s - 2.0 * np.sin(0.5 * t_s)), 0.25 * np.sin(0.5 * t_s)
+        rims_m = np.array([0.5 * way_m + 3.0 * max(t_s - 5.0, 0.0), 1.5 * way_m, 0.5 * way_m, 1.5 * way_m])
+        fl, fr, rr, rl = (int(one) & 0xFFFF for one in np.floor(rims_m / reader.count_m + begin))
+        felt = float(forward_m_s2), float(0.5 * forward_m_s2), 9.81
+        measured = last._replace(robot_time_ns=round(t_s * 1e9), encoder_count=(fl, fr, rr, rl), acceleration_m_s2=felt)
+        detector.update(reader.between(last, measured))
+        last = measured
+        assert not detector.is_slipping or t_s > 5.0
+        assert detector.is_slipping or t_s < 5.5
