@@ -13,6 +13,7 @@ from hil.core.ports import FixSource
 from hil.core.signals import EstimatorSignals
 from hil.core.tuples import is_finite, make_state
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
+from hil.estimation.fix_errors import SimulatedOptions
 from hil.estimation.measurement import NO_STATUS, Estimator, Measurement, measured_twist
 from hil.estimation.slip import SlipDetector
 from hil.estimation.wheel_motion import Motion, MotionReader
@@ -55,22 +56,6 @@ class FilterOptions:
     release_s: Annotated[
         float, Range(ge=0, le=10), "time constant with which the pose follows a correction; 0: it jumps"
     ] = 0.2
-
-
-@dataclass(frozen=True)
-class SimulatedOptions:
-    """``[estimator.simulated_fix]``: a lidar's SLAM, simulated from the truth in robot time."""
-
-    rate_hz: Annotated[float, Range(ge=0.1, le=1000), "fixes a second"] = 10.0
-    latency_s: Annotated[float, Range(ge=0, le=10), "from the scan to the fix"] = 0.1
-    sigma_m: Annotated[float, Range(ge=1e-5, le=100), "noise of each axis"] = 0.02
-    sigma_rad: Annotated[float, Range(ge=1e-5, le=10), "noise of the heading"] = 0.01
-    noisier: Annotated[float, Range(ge=0.1, le=100), "true noise over sigma_m and sigma_rad, which fixes tell"] = 1.0
-    outlier_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be wrong"] = 0.0
-    outlier_m: Annotated[float, Range(ge=0, le=1000), "how far off; turned by at most as many rad"] = 1.0
-    dropout_probability: Annotated[float, Range(ge=0, le=1), "of a fix to be missing"] = 0.0
-    gap_start_s: Annotated[float, Range(ge=0, le=86_400), "from here on, since t = 0, there are none"] = 0.0
-    gap_end_s: Annotated[float, Range(ge=0, le=86_400), "up to here"] = 0.0
 
 
 @dataclass(frozen=True)

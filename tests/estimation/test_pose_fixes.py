@@ -19,7 +19,7 @@ from hil.core.errors import BadInputError
 from hil.core.private_files import write_private
 from hil.core.tokens import token_file
 from hil.core.types import NAN, MeasuredPose, Pose, PoseFix, Twist
-from hil.estimation.estimators import SimulatedOptions
+from hil.estimation.fix_errors import SimulatedOptions
 from hil.estimation.simulated_fixes import SimulatedFixes
 from hil.estimation.udp_fixes import Refused, UdpFixes, parse, parse_address
 from hil.runtime.assembly import RunOptions, run_scenario
