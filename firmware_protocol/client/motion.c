@@ -7,9 +7,14 @@
 #define OLD_S 0.05 /* speeds further apart than this say nothing of the acceleration now */
 
 /* What a value will be after so many steps like the last one, but never nearer to zero than it is now: a
- * wheel that was let go slows down fast, and would spin again with all of its torque. */
-static double coming(double now, double before, double steps) {
-    return steps > 0.0 && (now - before) * now > 0.0 ? now + steps * (now - before) : now;
+ * wheel that was let go slows down fast, and would spin again with all of its torque. Of what the steps add,
+ * a part of the size `blind` may be made by the encoder alone, and does not count. */
+static double coming(double now, double before, double steps, double blind) {
+    const double added = steps * (now - before);
+    if (!(steps > 0.0 && (now - before) * now > 0.0) || fabs(added) <= blind) {
+        return now;
+    }
+    return now + (blind > 0.0 ? added - copysign(blind, added) : added);
 }
 
 /* Whether every value is from -limit to limit; NaN is not. */
@@ -67,7 +72,8 @@ static double beyond(const wheel_motion *m, unsigned wheel, double now_rad_s, in
 }
 
 /* Works out slip. `before_ns` is the time of the measurement before. */
-static void add_slip(wheel_motion *m, const double twist[3], double heading_rad, int64_t before_ns) {
+static void add_slip(wheel_motion *m, const double twist[3], double heading_rad, int64_t before_ns,
+                     double blind) {
     double now_rad_s[4];
     roll(m, twist, heading_rad, now_rad_s);
     const bool was_reset = m->time_ns < before_ns;
@@ -91,7 +97,7 @@ static void add_slip(wheel_motion *m, const double twist[3], double heading_rad,
         }
         const double slip =
             is_old ? beyond(m, i, now_rad_s[i], twist_ns) : m->speed_rad_s[i] - m->lagging_rad_s[i];
-        m->coming_slip_rad_s[i] = goes_on && !is_old ? coming(slip, m->slip_rad_s[i], m->steps) : slip;
+        m->coming_slip_rad_s[i] = goes_on && !is_old ? coming(slip, m->slip_rad_s[i], m->steps, blind) : slip;
         m->slip_rad_s[i] = slip;
     }
     note_past(m, twist_ns);
@@ -112,12 +118,13 @@ bool wheel_motion_add(wheel_motion *m, const double speed_rad_s[4], int64_t time
     if (!m->has_speed || are_within(speed_rad_s, m->still_rad_s)) {
         return false;
     }
+    const double blind = fmax(m->blind_rad_s + m->steps * m->blind_rad_s_a_step, 0.0);
     for (unsigned i = 0; i < 4u; i++) {
-        m->coming_rad_s[i] = coming(speed_rad_s[i], before_rad_s[i], m->steps);
+        m->coming_rad_s[i] = coming(speed_rad_s[i], before_rad_s[i], m->steps, blind);
     }
     bool slips = false;
     if (isfinite(m->most_slip_rad_s)) {
-        add_slip(m, twist, heading_rad, before_ns);
+        add_slip(m, twist, heading_rad, before_ns, blind);
         slips = !are_within(m->coming_slip_rad_s, m->most_slip_rad_s);
     }
     return slips || m->is_near || !are_within(m->coming_rad_s, m->most_rad_s);

@@ -14,7 +14,7 @@ extern "C" {
 
 /* cffi: begin */
 enum { WHEEL_MOTION_PAST = 32 }; /* measurements that a range of speeds is made of, at most */
-/* Begin with zeros, and set the first nine. The rest is only to be read. Wheels are FL, FR, RR, RL. */
+/* Begin with zeros, and set the first ten. The rest is only to be read. Wheels are FL, FR, RR, RL. */
 typedef struct {
     double wheel_radius_m;
     double lever_m; /* half the length plus half the width between the wheel centres */
@@ -26,7 +26,9 @@ typedef struct {
     double most_rad_s;  /* the greatest speed, now or when a command acts, that is not near a limit */
     double
         most_slip_rad_s; /* the same of slip; infinity if it does not matter, which is then not worked out */
-    bool is_near;        /* set while something has to be looked at whatever the wheels do */
+    double blind_rad_s;  /* what a coarse encoder may add to a speed, less what is tolerated; 0 or less */
+    double blind_rad_s_a_step; /* the same of the difference of two speeds: so much of a change is not seen */
+    bool is_near;              /* set while something has to be looked at whatever the wheels do */
     bool has_speed;
     bool has_slip;
     int64_t time_ns; /* of the newest measurement */

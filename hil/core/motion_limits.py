@@ -8,6 +8,9 @@ that time. A wheel without grip accelerates only its own inertia, and is faded t
 its torque back slowly: commands of the last latency and lag do not show in its measured speed yet, and would make it
 spin again.
 
+A coarse encoder makes speeds of wheels that roll look like slip. Slip counts from the size on that the encoder cannot
+make (``hil.core.wheel_speed``), and of the change that is to come only so much as is beyond that size.
+
 Motion and slip of the wheels are needed in each tick and are worked out in C (``client/wheel_motion.h``). The torques
 that follow from them are worked out here.
 """
@@ -22,13 +25,13 @@ from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, body_wrench
 from hil.core.model import RobotModel
 from hil.core.types import State, Wheels
+from hil.core.wheel_speed import WheelSpeed
 
 TorqueSpeed = Literal["protection", "limit", "off"]
 SLIP_M_S = 0.3
 """How much faster than the floor a rim may be driven, unless a scenario says otherwise."""
 BAND = 0.05
 """The law may go beyond the limits of the body by this share, or it could not make up for what it has lost."""
-_LAG_S = 0.0133  # of a measured wheel speed: 2 / tracking_bandwidth_rad_s, with its default
 _WHEEL_END = 0.9  # share of the overspeed at which the torque is gone
 _SLIP_BEGIN = 0.5  # share of the limit of slip from which the torque is faded
 _TURNS_S = 0.25  # how far ahead a turning robot's wheels are looked at
@@ -42,6 +45,26 @@ class BodyLimits(NamedTuple):
 
     speed_m_s: float
     yaw_rate_rad_s: float
+
+
+class SlipBand(NamedTuple):
+    """Slip from which torque is faded, and at which it is gone [m/s]; ``blind_m_s`` of slip to come is not seen."""
+
+    begin_m_s: float
+    end_m_s: float
+    blind_m_s: float
+
+
+def slip_band(
+    slip_m_s: float, wheel_radius_m: float, speed: WheelSpeed, period_s: float, latency_s: float = 0.0
+) -> SlipBand:
+    """Return the band of a limit of slip at these wheels, measurements a period apart, and this latency of commands."""
+    noise_m_s = wheel_radius_m * speed.noise_rad_s
+    begin_m_s = max(_SLIP_BEGIN * slip_m_s, noise_m_s)
+    steps = (period_s + speed.lag_s + latency_s) / period_s
+    of_change_m_s = steps * wheel_radius_m * speed.noise_of_change_rad_s(period_s)
+    end_m_s = begin_m_s + (1.0 - _SLIP_BEGIN) * slip_m_s
+    return SlipBand(begin_m_s, end_m_s, max(noise_m_s + of_change_m_s - begin_m_s, 0.0))
 
 
 class _Seen(NamedTuple):
@@ -58,9 +81,9 @@ class MotionLimits:
     """The part of a ``Guard`` beyond scaling set points to the limits of a wheel.
 
     ``body`` are the limits of the body, if any; in SPEED mode they scale the set points. ``slip_m_s`` is how much
-    faster than the floor a rim may move. ``torque_speed`` is which wheel speed torques keep below: one at which
-    the robot's ``protection`` does not stop it, the ``limit`` of the scenario, or, with ``off``, none. Raises
-    BadInputError when the host library cannot be loaded.
+    faster than the floor a rim may move (``slip_band``), as far as ``speed`` shows it. ``torque_speed`` is which wheel
+    speed torques keep below: one at which the robot's ``protection`` does not stop it, the ``limit`` of the scenario,
+    or, with ``off``, none. Raises BadInputError when the host library cannot be loaded.
 
     Attributes:
         is_near: returns whether ``faded`` has to be called. It takes each tick's measured wheel speeds, their robot
@@ -69,19 +92,25 @@ class MotionLimits:
     """
 
     def __init__(
-        self, model: RobotModel, period_s: float, slip_m_s: float = math.inf, torque_speed: TorqueSpeed = "protection"
+        self,
+        model: RobotModel,
+        period_s: float,
+        slip_m_s: float = math.inf,
+        torque_speed: TorqueSpeed = "protection",
+        speed: WheelSpeed = WheelSpeed(),  # noqa: B008 -- immutable
     ) -> None:
         self._model = model
         self._torque_speed = torque_speed
-        self._slip_rad_s = slip_m_s / model.wheel_radius_m
-        self._begin(period_s + _LAG_S)
+        begin_m_s, end_m_s, _ = slip_band(slip_m_s, model.wheel_radius_m, speed, period_s)
+        self._slip_begin, self._slip_end = begin_m_s / model.wheel_radius_m, end_m_s / model.wheel_radius_m
+        self._begin(period_s, speed)
         self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
         self._between = math.inf, math.inf
         self._set_near()
 
-    def _begin(self, ahead_s: float) -> None:
+    def _begin(self, period_s: float, speed: WheelSpeed) -> None:
         try:
             ffi, _ = library()
         except BuildError as error:
@@ -89,8 +118,11 @@ class MotionLimits:
         moves = wheel.Motion()
         self._motion = ffi.cast("wheel_motion *", moves.address)
         self._motion.wheel_radius_m, self._motion.lever_m = self._model.wheel_radius_m, self._model.lever_m
-        self._motion.ahead_s, self._motion.lag_s = ahead_s, _LAG_S
-        self._motion.most_slip_rad_s = _SLIP_BEGIN * self._slip_rad_s
+        self._motion.ahead_s, self._motion.lag_s = period_s + speed.lag_s, speed.lag_s
+        self._motion.most_slip_rad_s = self._slip_begin
+        tolerated_rad_s = min(self._slip_begin, _SLIP_BEGIN * SLIP_M_S / self._model.wheel_radius_m)
+        self._motion.blind_rad_s = speed.noise_rad_s - tolerated_rad_s
+        self._motion.blind_rad_s_a_step = speed.noise_of_change_rad_s(period_s)
         self._unpack = ffi.unpack
         self.is_near: Callable[[Wheels, int, State, float, float], bool] = moves.add
 
@@ -150,7 +182,7 @@ class MotionLimits:
         """Return the torques [N·m] of a command by the newest ``is_near``; the same object if none is to be faded."""
         seen = self._seen()
         torque = _times(torque, seen.speed, self._give(torque, seen))
-        if self._slip_rad_s < math.inf:
+        if self._slip_begin < math.inf:
             torque = self._fade_slip(torque, seen)
         return self._fade_body(torque, seen.coming)
 
@@ -164,7 +196,7 @@ class MotionLimits:
         return given
 
     def _fade_slip(self, torque: Wheels, seen: _Seen) -> Wheels:
-        shares = _shares(torque, seen.slip, seen.coming_slip, _SLIP_BEGIN * self._slip_rad_s, self._slip_rad_s)
+        shares = _shares(torque, seen.slip, seen.coming_slip, self._slip_begin, self._slip_end)
         gripped = _risen(shares, self._gripped, seen.ahead)
         if gripped != self._gripped:
             self._gripped = gripped

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from hil.core.guard import Brake, Guard
 from hil.core.motion_limits import MotionLimits
 from hil.core.ports import Note, Sink
+from hil.core.wheel_speed import WheelSpeed
 from hil.estimation.estimators import make_estimator
 from hil.judge.expectations import check_figures
 from hil.references import Feasibility, feasibility, make_reference
@@ -35,9 +36,11 @@ class RunParts:
         )
         limiter, period_s = scenario.limiter, scenario.loop.period_ns / NS
         slip_m_s = limiter.most_slip_m_s(scenario.estimator.source)
-        motion = MotionLimits(self.model, period_s, slip_m_s, limiter.torque_speed)
+        firmware = scenario.firmware
+        speed = WheelSpeed(firmware.counts_per_revolution, firmware.tracking_bandwidth_rad_s)
+        motion = MotionLimits(self.model, period_s, slip_m_s, limiter.torque_speed, speed)
         self._guard = Guard(self.model.speed_limit_rad_s, self.model.torque_limit_n_m, motion)
-        self._brake = Brake(scenario.controller.mode, self._guard, scenario.firmware.speed_kp_n_m_s_rad)
+        self._brake = Brake(scenario.controller.mode, self._guard, firmware.speed_kp_n_m_s_rad)
 
     def feasibility(self) -> Feasibility:
         """Return the wheel speeds and torques that the reference demands."""

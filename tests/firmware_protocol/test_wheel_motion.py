@@ -16,6 +16,7 @@ from hil.core.types import Pose, State, Twist, Wheels
 MODEL = RobotModel(20.0, 0.56, 0.075, 0.3, 0.2, 0.005, torque_limit_n_m=5.0, speed_limit_rad_s=20.0)
 AHEAD_S, LAG_S, OLD_S, LATENCY_S = 0.0183, 0.0133, 0.05, 0.005
 STILL, MOST, SLIP = 1.0, 8.0, 2.0
+BLIND, A_STEP = -1.5, 0.8  # of a coarse encoder: of a change 2 rad/s are not seen when 4.7 steps are to come
 
 speeds = st.builds(Wheels, *[st.floats(-60.0, 60.0)] * 4)
 slow = st.builds(Wheels, *[st.floats(-1.5, 1.5)] * 4)
@@ -33,8 +34,8 @@ ticks = st.lists(st.tuples(apart_ms, speeds | slow | odd, states, torques), max_
 class Plain:
     """The rules of ``wheel_motion.h`` as one would write them first."""
 
-    def __init__(self, slip_rad_s: float, older_s: float = 0.0) -> None:
-        self.slip_rad_s, self.older_s = slip_rad_s, older_s
+    def __init__(self, slip_rad_s: float, older_s: float = 0.0, *, is_coarse: bool = False) -> None:
+        self.slip_rad_s, self.older_s, self.is_coarse = slip_rad_s, older_s, is_coarse
         self.past: list[tuple[int, tuple[float, ...]]] = []
         self.time_ns, self.slip_ns = 0, -1
         self.before: Wheels | None = None
@@ -94,8 +95,13 @@ class Plain:
     def _ahead(self, now: tuple[float, ...], before: tuple[float, ...] | None) -> tuple[float, ...]:
         if before is None or not self.steps:
             return now
-        pairs = zip(now, before, strict=True)
-        return tuple(a + self.steps * (a - b) if (a - b) * a > 0.0 else a for a, b in pairs)
+        blind = max(BLIND + self.steps * A_STEP, 0.0) if self.is_coarse else 0.0
+        found = []
+        for a, b in zip(now, before, strict=True):
+            more = self.steps * (a - b)
+            grows = (a - b) * a > 0.0 and abs(more) > blind
+            found.append(a if not grows else a + (more - math.copysign(blind, more)) if blind else a + more)
+        return tuple(found)
 
 
 def times_ns(sequence: list[Any]) -> list[int]:
@@ -107,22 +113,24 @@ def tick(apart_ms: int, fl: float, vx_m_s: float = 0.75) -> tuple[object, ...]:
     return apart_ms, Wheels(fl, 10.0, 10.0, 10.0), state, Wheels(1.0, -1.0, 1.0, 1.0)
 
 
-@given(ticks, st.sampled_from([SLIP, math.inf]), st.sampled_from([0.0, 0.0, 0.011, 0.0223]))
-@example([tick(0, 5.0), tick(5, 6.0), tick(5, 7.0)], math.inf, 0.0)  # only its speed
-@example([tick(0, 5.0), tick(5, 5.0, math.nan), tick(5, 5.0)], SLIP, 0.0)
-@example([tick(0, 5.0), tick(5, 6.0), tick(5, 1.0), tick(5, 3.0), tick(5, 30.0)], SLIP, 0.011)
-@example([tick(0, 5.0), *[tick(40, one) for one in (6.0, 1.0, 3.0, 30.0, 12.0)]], SLIP, 0.011)
+@given(ticks, st.sampled_from([SLIP, math.inf]), st.sampled_from([0.0, 0.0, 0.011, 0.0223]), st.booleans())
+@example([tick(0, 5.0), tick(5, 6.0), tick(5, 7.0)], math.inf, 0.0, False)  # only its speed
+@example([tick(0, 5.0), tick(5, 5.3), tick(5, 7.0), tick(5, 7.2)], math.inf, 0.0, True)  # less and more than is seen
+@example([tick(0, 5.0), tick(5, 5.0, math.nan), tick(5, 5.0)], SLIP, 0.0, False)
+@example([tick(0, 5.0), tick(5, 6.0), tick(5, 1.0), tick(5, 3.0), tick(5, 30.0)], SLIP, 0.011, False)
+@example([tick(0, 5.0), *[tick(40, one) for one in (6.0, 1.0, 3.0, 30.0, 12.0)]], SLIP, 0.011, False)
 def test_what_wheels_will_do_is_as_the_rules_say_whatever_they_did(
-    sequence: list[Any], slip_rad_s: float, older_s: float
+    sequence: list[Any], slip_rad_s: float, older_s: float, is_coarse: bool
 ) -> None:
     ffi, _ = library()
     wheels = {"wheel_radius_m": MODEL.wheel_radius_m, "lever_m": MODEL.lever_m, "ahead_s": AHEAD_S, "lag_s": LAG_S}
     limits = {"still_rad_s": STILL, "most_rad_s": MOST, "most_slip_rad_s": slip_rad_s}
+    limits |= {"blind_rad_s": BLIND, "blind_rad_s_a_step": A_STEP} if is_coarse else {}
     made = wheel.Motion()
     motion = ffi.cast("wheel_motion *", made.address)
     for name, value in (wheels | limits).items():
         setattr(motion, name, value)
-    add, expected = made.add, Plain(slip_rad_s, older_s)
+    add, expected = made.add, Plain(slip_rad_s, older_s, is_coarse=is_coarse)
     for (_, speed, state, _), time_ns in zip(sequence, times_ns(sequence), strict=True):
         near = expected.add(speed, time_ns, state)
         found = add(speed, time_ns, state, LATENCY_S, older_s)
