@@ -3,7 +3,6 @@
 
 #include "model.h"
 
-static const double ROOT_HALF = 0.70710678118654752440;
 /* A roller bends elastically up to this part of its limit, and slides altogether at the whole of it. */
 static const double ELASTIC_PART = 0.7;
 /* A deflection beyond the limit, left from a larger load or grip, goes back within this time. */
@@ -49,11 +48,11 @@ static void balance_load(const mecanum_model *model, const mecanum_modes *modes,
     double spin = 0.0;      /* J sum of omega */
     double spin_rate = 0.0; /* and its rate */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double x = -ROOT_HALF * p->roller_stiffness_n_m * state->x[MECANUM_DEFLECTION_M + i];
+        const double x = -model->roller_cosine * p->roller_stiffness_n_m * state->x[MECANUM_DEFLECTION_M + i];
         force_x += x;
-        force_y += model->roller_sign[i] * x;
+        force_y += model->roller_slant[i] * x;
         spin += model->wheel_inertia_kg_m2 * state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
-        spin_rate += modes->at_rest[i] ? 0.0 : torque_n_m[i] - p->wheel_radius_m * x;
+        spin_rate += modes->at_rest[i] ? 0.0 : torque_n_m[i] - model->radius_m[i] * x;
     }
     const double pitch = model->gravity_upright_n * p->com_x_m - p->com_height_m * force_x - spin_rate;
     const double roll = model->gravity_upright_n * p->com_y_m - p->com_height_m * force_y -
@@ -70,16 +69,17 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
     const double forward = state->x[MECANUM_FORWARD_M_S];
     const double left = state->x[MECANUM_LEFT_M_S];
     const double yaw_rate = state->x[MECANUM_YAW_RATE_RAD_S];
+    const double c = model->roller_cosine;
     balance_load(model, modes, state, torque_n_m, contact->load_n);
     contact->lost_w = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double s = model->roller_sign[i];
+        const double s = model->roller_slant[i];
         const double z = state->x[MECANUM_DEFLECTION_M + i];
         const double x_m_s = forward - yaw_rate * model->wheel_y_m[i] -
-                             p->wheel_radius_m * state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
+                             model->radius_m[i] * state->x[MECANUM_WHEEL_SPEED_RAD_S + i];
         const double y_m_s = left + yaw_rate * model->wheel_x_m[i];
-        const double along_m_s = ROOT_HALF * (x_m_s + s * y_m_s);
-        const double across_m_s = ROOT_HALF * (y_m_s - s * x_m_s);
+        const double along_m_s = c * (x_m_s + s * y_m_s);
+        const double across_m_s = c * (y_m_s - s * x_m_s);
         const double limit_m =
             p->grip_coefficient * p->wheel_grip_factor[i] * contact->load_n[i] / p->roller_stiffness_n_m;
         const double bent_m = fmin(fmax(z, -limit_m), limit_m);
@@ -90,8 +90,8 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
                                 tanh(across_m_s / MECANUM_RESISTANCE_SPEED_M_S);
         contact->slip_m_s[i] = model->lifted[i] ? 0.0 : along_m_s;
         contact->deflection_rate_m_s[i] = rate_m_s;
-        contact->force_x_n[i] = ROOT_HALF * (along_n - s * across_n);
-        contact->force_y_n[i] = ROOT_HALF * (s * along_n + across_n);
+        contact->force_x_n[i] = c * (along_n - s * across_n);
+        contact->force_y_n[i] = c * (s * along_n + across_n);
         /* What the contact takes, less what it stores. */
         contact->lost_w -= along_n * along_m_s + across_n * across_m_s;
         contact->lost_w -= p->roller_stiffness_n_m * z * rate_m_s;

@@ -150,7 +150,7 @@ static void release_slip(const mecanum_model *model, const mecanum_state *state,
     mecanum_contact ground;
     mecanum_ground(model, modes, state, torque_n_m, &ground);
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double left_n_m = torque_n_m[i] - model->p->wheel_radius_m * ground.force_x_n[i];
+        const double left_n_m = torque_n_m[i] - model->radius_m[i] * ground.force_x_n[i];
         if (modes->at_rest[i] && fabs(left_n_m) > model->friction_n_m[i]) {
             modes->at_rest[i] = false;
             modes->sign[i] = copysign(1.0, left_n_m);

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "model.h"
+#include "sensors.h"
 
 /* Longest internal steps, over the time in which the fastest part changes: they keep the method's error of a
  * step below 1e-4 of a change in a motor's current (1e-2 while its limiter regulates), and below 1e-5 of one
@@ -60,11 +61,12 @@ static double wheel_ease(const mecanum_model *model) {
     if (model->p->contact == MECANUM_CONTACT_SLIP) {
         return 1.0 / model->wheel_inertia_kg_m2;
     }
-    double most[3]; /* of the wheels, which differ where some are lifted */
+    const bool differ = model->any_lifted || model->is_uneven;
+    double most[3]; /* of the wheels */
     double largest =
         model->any_lifted && model->wheel_inertia_kg_m2 > 0.0 ? 1.0 / model->wheel_inertia_kg_m2 : 0.0;
     memcpy(most, model->rolling[0], sizeof most);
-    for (int i = 0; i < MECANUM_WHEELS && model->any_lifted; i++) {
+    for (int i = 0; i < MECANUM_WHEELS && differ; i++) {
         for (int j = 0; j < 3; j++) {
             most[j] = fmax(fabs(most[j]), fabs(model->rolling[i][j]));
         }
@@ -103,9 +105,12 @@ double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
     double longest_s = fmin(p->longest_step_s, longest_axle_step_s(p, wheel_ease(&model)));
     if (p->contact == MECANUM_CONTACT_SLIP) {
         /* Motion of a contact along its roller for one newton there: of the wheel, and of the whole robot. */
-        const double r = p->wheel_radius_m;
+        const double r =
+            fmax(fmax(model.radius_m[0], model.radius_m[1]), fmax(model.radius_m[2], model.radius_m[3]));
         const double lever_m = p->half_length_m + p->half_width_m;
-        const double ease = 0.5 * r * r / model.wheel_inertia_kg_m2 +
+        const double driven =
+            1.0 / (1.0 + model.roller_slant[0] * model.roller_slant[0]); /* cosine squared */
+        const double ease = driven * r * r / model.wheel_inertia_kg_m2 +
                             2.0 * (model.inverse_mass.at[0][0] + model.inverse_mass.at[1][1] +
                                    lever_m * lever_m * model.inverse_mass.at[2][2]);
         const double resistance_n_s_m =
@@ -154,7 +159,7 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
             rate[MECANUM_DEFLECTION_M + i] = ground.deflection_rate_m_s[i];
             if (!modes->at_rest[i]) {
                 rate[MECANUM_WHEEL_SPEED_RAD_S + i] =
-                    (torque_n_m[i] - p->wheel_radius_m * ground.force_x_n[i]) / model->wheel_inertia_kg_m2;
+                    (torque_n_m[i] - model->radius_m[i] * ground.force_x_n[i]) / model->wheel_inertia_kg_m2;
             }
         }
     } else {
@@ -272,6 +277,25 @@ static double stored_j(const mecanum_model *model, const mecanum_state *state) {
     return 0.5 * twice_j + model->gravity_in_plane_n * (now - start);
 }
 
+/* What the sensors read of a state and its rate. */
+static void sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
+                  double time_s, mecanum_outputs *out) {
+    const double *const x = state->x;
+    const double *const rate = derivative->x;
+    const double yaw_rate = x[MECANUM_YAW_RATE_RAD_S];
+    const double uphill = model->p->slope_direction_rad - x[MECANUM_HEADING_RAD];
+    const double fall_m_s2 = model->gravity_in_plane_n / model->p->mass_kg;
+    const double turning[3] = {0.0, 0.0, yaw_rate};
+    /* The acceleration of a point of the turning frame, less that of gravity. */
+    const double acceleration[3] = {
+        rate[MECANUM_FORWARD_M_S] - yaw_rate * x[MECANUM_LEFT_M_S] + fall_m_s2 * cos(uphill),
+        rate[MECANUM_LEFT_M_S] + yaw_rate * x[MECANUM_FORWARD_M_S] + fall_m_s2 * sin(uphill),
+        model->gravity_upright_n / model->p->mass_kg,
+    };
+    plant_encoders(model->p, x + MECANUM_WHEEL_ANGLE_RAD, out);
+    plant_inertial(model->p, time_s, turning, acceleration, out);
+}
+
 void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
                     double time_s, mecanum_outputs *out) {
     mecanum_model model;
@@ -314,5 +338,5 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
     out->energy_supplied_j = x[MECANUM_SUPPLIED_J];
     out->energy_stored_j = stored_j(&model, state);
     out->energy_lost_j = x[MECANUM_LOST_J];
-    mecanum_sense(&model, &settled, &derivative, time_s, out);
+    sense(&model, &settled, &derivative, time_s, out);
 }

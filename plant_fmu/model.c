@@ -2,22 +2,30 @@
 #include "model.h"
 
 static const double GRAVITY_M_S2 = 9.81;
+static const double ROOT_HALF = 0.70710678118654752440;
 
 static void place_wheels(mecanum_model *model, const mecanum_parameters *p) {
     static const double FRONT[MECANUM_WHEELS] = {1.0, 1.0, -1.0, -1.0};
     static const double LEFT[MECANUM_WHEELS] = {1.0, -1.0, -1.0, 1.0};
     const double mirror = p->rollers == MECANUM_ROLLERS_O ? -1.0 : 1.0;
+    const bool at_45 = p->sideways_loss == 0.0; /* nearly always, and faster so */
+    const double slant = at_45 ? 1.0 : 1.0 / (1.0 - p->sideways_loss);
+    model->roller_cosine = at_45 ? ROOT_HALF : sqrt(1.0 / (1.0 + slant * slant));
+    model->is_uneven = slant != 1.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double x = FRONT[i] * p->half_length_m;
         const double y = LEFT[i] * p->half_width_m;
-        const double sign = -mirror * FRONT[i] * LEFT[i];
+        const double s = -mirror * FRONT[i] * LEFT[i] * slant;
+        const double r = p->wheel_radius_m * p->wheel_radius_factor[i];
         model->wheel_x_m[i] = x;
         model->wheel_y_m[i] = y;
-        model->roller_sign[i] = sign;
+        model->radius_m[i] = r;
+        model->roller_slant[i] = s;
+        model->is_uneven = model->is_uneven || p->wheel_radius_factor[i] != 1.0;
         /* The contact does not move along the roller's axis (1, s): r omega = u - y W + s (w + x W). */
-        model->rolling[i][0] = 1.0 / p->wheel_radius_m;
-        model->rolling[i][1] = sign / p->wheel_radius_m;
-        model->rolling[i][2] = (sign * x - y) / p->wheel_radius_m;
+        model->rolling[i][0] = 1.0 / r;
+        model->rolling[i][1] = s / r;
+        model->rolling[i][2] = (s * x - y) / r;
     }
 }
 
@@ -47,7 +55,7 @@ static void limit_friction(mecanum_model *model, const mecanum_parameters *p) {
     mecanum_share_load(model, whole_n * p->com_x_m, whole_n * p->com_y_m, model->load_n);
     model->has_friction = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        model->friction_n_m[i] = p->friction_coefficient * model->load_n[i] * p->wheel_radius_m;
+        model->friction_n_m[i] = p->friction_coefficient * model->load_n[i] * model->radius_m[i];
         model->has_friction = model->has_friction || model->friction_n_m[i] > 0.0;
     }
 }
@@ -88,9 +96,8 @@ static void weigh(mecanum_model *model, const mecanum_parameters *p) {
     }};
 }
 
-/* The same where wheels are lifted: those on the ground alone turn with the body. On blocks nothing moves it.
- */
-static void weigh_lifted(mecanum_model *model, const mecanum_parameters *p) {
+/* The same of any wheels: those on the ground alone turn with the body. On blocks nothing moves it. */
+static void weigh_any(mecanum_model *model, const mecanum_parameters *p) {
     const double y_kg_m = p->mass_kg * p->com_y_m;
     const double x_kg_m = p->mass_kg * p->com_x_m;
     const double about_com = p->com_x_m * p->com_x_m + p->com_y_m * p->com_y_m;
@@ -129,8 +136,8 @@ void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
     limit_friction(model, p);
     weigh(model, p);
     lift_wheels(model, p);
-    if (model->any_lifted) {
-        weigh_lifted(model, p);
+    if (model->any_lifted || model->is_uneven) {
+        weigh_any(model, p);
     }
 }
 

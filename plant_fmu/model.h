@@ -5,7 +5,6 @@
  * motor.c     motors and battery
  * contact.c   rollers that do not slip, and rollers that do
  * friction.c  which wheels stand still, and the steps up to where one comes to rest
- * sensors.c   encoders, gyro, accelerometer
  * mecanum.c   start, derivative, integrator, outputs */
 #ifndef MECANUM_MODEL_H
 #define MECANUM_MODEL_H
@@ -28,12 +27,15 @@ typedef struct {
     const mecanum_parameters *p;
     double wheel_x_m[MECANUM_WHEELS]; /* where the wheels stand, body frame */
     double wheel_y_m[MECANUM_WHEELS];
-    double roller_sign[MECANUM_WHEELS]; /* s: the lower roller's axis is (1, s) / sqrt 2 */
-    double rolling[MECANUM_WHEELS][3];  /* wheel speed of a wheel that does not slip = this row x body twist;
-                                           0 for a lifted one */
-    bool lifted[MECANUM_WHEELS];        /* off the ground, a block in its place */
+    double radius_m[MECANUM_WHEELS];
+    double roller_slant[MECANUM_WHEELS]; /* s: the lower roller's axis is c (1, s), of length 1 */
+    double roller_cosine;                /* c */
+    double rolling[MECANUM_WHEELS][3];   /* wheel speed of a wheel that does not slip = this row x body twist;
+                                            0 for a lifted one */
+    bool lifted[MECANUM_WHEELS];         /* off the ground, a block in its place */
     bool any_lifted;
-    bool is_held;               /* all are lifted: the body stands on blocks */
+    bool is_uneven; /* the wheels' radii differ from the nominal one, or the rollers' angle from 45 degrees */
+    bool is_held;   /* all are lifted: the body stands on blocks */
     double wheel_inertia_kg_m2; /* of a wheel with its rotor */
     double carried_kg;    /* what the turning wheels add to the mass, k = 4 J / r^2; 0 with slip contact */
     double turning_kg_m2; /* yaw inertia about the robot's centre, with what the turning wheels add */
@@ -132,11 +134,6 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
 /* One step of the classical Runge-Kutta method of fourth order, with fixed modes. */
 void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, const mecanum_modes *modes,
                        double step_s, mecanum_state *state);
-
-/* sensors.c */
-
-void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
-                   double time_s, mecanum_outputs *out);
 
 HIDDEN_END
 

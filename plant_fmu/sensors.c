@@ -1,11 +1,30 @@
 /* Encoders, gyro and accelerometer. The noise of a sample follows from the seed and the sample's number
  * alone: it needs no state, and a restored plant hears the same noise. */
-#include "counter.h"
-#include "model.h"
+#include "sensors.h"
+
+#include <math.h>
+#include <string.h>
 
 static const double TWO_PI = 6.283185307179586476925286766559;
+static const double LARGEST = 9007199254740992.0;
 
-enum { GYRO_X, GYRO_Y, GYRO_Z, ACCELEROMETER_X, ACCELEROMETER_Y, ACCELEROMETER_Z };
+/* Rounds down into a counter of 32 bits. */
+static int32_t counter(double value) {
+    const double bounded = fmin(fmax(floor(value), -LARGEST), LARGEST);
+    const uint32_t wrapped = (uint32_t)(uint64_t)(int64_t)bounded;
+    int32_t result;
+    memcpy(&result, &wrapped, sizeof result);
+    return result;
+}
+
+void plant_encoders(const mecanum_parameters *p, const double angle_rad[MECANUM_WHEELS],
+                    mecanum_outputs *out) {
+    for (int i = 0; i < MECANUM_WHEELS; i++) {
+        const double turns = angle_rad[i] / TWO_PI;
+        out->wheel_count[i] = counter(turns * p->counts_per_revolution);
+        out->wheel_index[i] = counter(turns);
+    }
+}
 
 /* The finalizer of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): neighbouring numbers become unrelated
  * ones. */
@@ -34,38 +53,20 @@ static uint64_t sample_at(const mecanum_parameters *p, double time_s) {
     return (uint64_t)(int64_t)floor(fmin(fmax(time_s, -1e9), 1e9) * p->imu_rate_hz + 1e-6);
 }
 
-void mecanum_sense(const mecanum_model *model, const mecanum_state *state, const mecanum_state *derivative,
-                   double time_s, mecanum_outputs *out) {
-    const mecanum_parameters *const p = model->p;
-    const double *const x = state->x;
-    for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double turns = x[MECANUM_WHEEL_ANGLE_RAD + i] / TWO_PI;
-        out->wheel_count[i] = plant_counter(turns * p->counts_per_revolution);
-        out->wheel_index[i] = plant_counter(turns);
-    }
+void plant_inertial(const mecanum_parameters *p, double time_s, const double rate_rad_s[3],
+                    const double acceleration_m_s2[3], mecanum_outputs *out) {
     double *const measured[6] = {&out->gyro_x_rad_s,         &out->gyro_y_rad_s,
                                  &out->gyro_z_rad_s,         &out->accelerometer_x_m_s2,
                                  &out->accelerometer_y_m_s2, &out->accelerometer_z_m_s2};
     const double bias[6] = {p->gyro_bias_x_rad_s,         p->gyro_bias_y_rad_s,
                             p->gyro_bias_z_rad_s,         p->accelerometer_bias_x_m_s2,
                             p->accelerometer_bias_y_m_s2, p->accelerometer_bias_z_m_s2};
-    const double yaw_rate = x[MECANUM_YAW_RATE_RAD_S];
-    const double uphill = p->slope_direction_rad - x[MECANUM_HEADING_RAD];
-    const double fall_m_s2 = model->gravity_in_plane_n / p->mass_kg;
-    const double *const rate = derivative->x;
-    const double truth[6] = {
-        [GYRO_Z] = yaw_rate,
-        /* The acceleration of a point of the turning frame, less that of gravity. */
-        [ACCELEROMETER_X] =
-            rate[MECANUM_FORWARD_M_S] - yaw_rate * x[MECANUM_LEFT_M_S] + fall_m_s2 * cos(uphill),
-        [ACCELEROMETER_Y] =
-            rate[MECANUM_LEFT_M_S] + yaw_rate * x[MECANUM_FORWARD_M_S] + fall_m_s2 * sin(uphill),
-        [ACCELEROMETER_Z] = model->gravity_upright_n / p->mass_kg,
-    };
     const uint64_t sample = sample_at(p, time_s);
     for (int i = 0; i < 6; i++) {
-        const double deviation = i < ACCELEROMETER_X ? p->gyro_noise_rad_s : p->accelerometer_noise_m_s2;
+        const bool is_gyro = i < 3;
+        const double truth = is_gyro ? p->gyro_scale * rate_rad_s[i] : acceleration_m_s2[i - 3];
+        const double deviation = is_gyro ? p->gyro_noise_rad_s : p->accelerometer_noise_m_s2;
         const double heard = deviation > 0.0 ? deviation * noise(p->seed, sample, (uint64_t)i) : 0.0;
-        *measured[i] = truth[i] + bias[i] + heard;
+        *measured[i] = truth + bias[i] + heard;
     }
 }

@@ -26,7 +26,6 @@ SOURCE_FILES = (
     "model.c",
     "motor.c",
     "contact.c",
-    "counter.c",
     "friction.c",
     "sensors.c",
 )
@@ -62,7 +61,7 @@ def sources_of(archive: Path) -> str | None:
 
 MUJOCO = HERE / "mujoco"
 MUJOCO_SOURCES = (
-    *(HERE / name for name in ("fmi2.c", "fmi2_unclaimed.c", "instance.c", "saved_state.c", "counter.c")),
+    *(HERE / name for name in ("fmi2.c", "fmi2_unclaimed.c", "instance.c", "saved_state.c", "sensors.c")),
     MUJOCO / "physics.c",
     MUJOCO / "robot.c",
 )

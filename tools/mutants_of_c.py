@@ -68,7 +68,7 @@ _NEAR = RULED | {
         (*_OF_FORCES, *_of("plant_fmu", "plant_energy", "plant_state", "three_plants")),
     ),
     "motor.c": (*_of("plant_fmu", "plant_motors"), *_OF_FORCES),
-    **dict.fromkeys(("sensors.c", "counter.c"), (*_of("plant_fmu", "plant_sensors"), *_OF_FORCES)),
+    "sensors.c": (*_of("plant_fmu", "plant_sensors"), *_OF_FORCES),
     **dict.fromkeys(("instance.c", "saved_state.c"), (*_OF_CALLS_OF_FMI, *_OF_FORCES)),
     **dict.fromkeys(("fmi2.c", "fmi2_unclaimed.c", "fmi3.c", "fmi3_unclaimed.c"), _OF_CALLS_OF_FMI),
     **dict.fromkeys(("physics.c", "robot.c"), _of("plant_fmu", "mujoco_motion", "mujoco_model", "mujoco_fmu")),

@@ -8,8 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "counter.h"
 #include "robot.h"
+#include "sensors.h"
 
 enum { STATE = mjSTATE_QPOS | mjSTATE_QVEL | mjSTATE_WARMSTART };
 
@@ -225,21 +225,14 @@ bool physics_output(plant_instance *plant) {
     out->twist_vx_m_s = velocity[0];
     out->twist_vy_m_s = velocity[1];
     out->twist_yaw_rate_rad_s = rate[2];
-    out->gyro_x_rad_s = velocity[3];
-    out->gyro_y_rad_s = velocity[4];
-    out->gyro_z_rad_s = velocity[5];
-    out->accelerometer_x_m_s2 = state->accelerometer_m_s2[0];
-    out->accelerometer_y_m_s2 = state->accelerometer_m_s2[1];
-    out->accelerometer_z_m_s2 = state->accelerometer_m_s2[2];
     for (int wheel = 0; wheel < MECANUM_WHEELS; wheel++) {
-        const double angle_rad = position[wheel_position(wheel)];
-        out->wheel_angle_rad[wheel] = angle_rad;
+        out->wheel_angle_rad[wheel] = position[wheel_position(wheel)];
         out->wheel_speed_rad_s[wheel] = velocity[wheel_velocity(wheel)];
-        out->wheel_count[wheel] = plant_counter(angle_rad / TWO_PI * p->counts_per_revolution);
-        out->wheel_index[wheel] = plant_counter(angle_rad / TWO_PI);
         out->wheel_current_a[wheel] = in->wheel_torque_n_m[wheel] / p->motor_constant_n_m_a;
         out->wheel_load_n[wheel] = state->load_n[wheel];
     }
+    plant_encoders(p, out->wheel_angle_rad, out);
+    plant_inertial(p, plant->now.time_s, velocity + 3, state->accelerometer_m_s2, out);
     return true;
 }
 

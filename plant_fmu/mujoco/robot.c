@@ -4,13 +4,23 @@
 
 static const double GRAVITY_M_S2 = 9.81;
 static const double TWO_PI = 6.283185307179586476925286766559;
-static const double SQRT_HALF = 0.70710678118654752440084436210485;
 static const double UPRIGHT[4] = {1.0, 0.0, 0.0, 0.0};
 static const double ALONG_AXLE[4] = {0.70710678118654752440084436210485, 0.70710678118654752440084436210485,
                                      0.0, 0.0};
 static const char *const NAMES[MECANUM_WHEELS] = {"fl", "fr", "rr", "rl"};
 static const double AHEAD[MECANUM_WHEELS] = {1.0, 1.0, -1.0, -1.0};
 static const double LEFT[MECANUM_WHEELS] = {1.0, -1.0, -1.0, 1.0};
+
+/* Square of the cosine of the angle at which the rollers stand to straight ahead: 45 degrees, or where they
+ * lose way sideways more. */
+static double cosine_squared(const mecanum_parameters *p) {
+    const double slant = 1.0 / (1.0 - p->sideways_loss);
+    return 1.0 / (1.0 + slant * slant);
+}
+
+static double wheel_radius_m(const mecanum_parameters *p, int wheel) {
+    return p->wheel_radius_m * p->wheel_radius_factor[wheel];
+}
 
 /* Added to the body's six inertias where it stands on blocks [kg, kg m2]: no wheel's torque moves it then.
  * With far more the solver, whose tolerance follows the mean inertia, no longer lets a wheel stick. */
@@ -23,7 +33,7 @@ static const mjtSize ARENA_BYTES = 1 << 20; /* what MuJoCo works in */
 static const double ROLLERS_SHARE = 0.05;
 static const double ROLLER_RADIUS_RATIO = 0.2;
 
-/* An ellipsoid of revolution whose axis lies across the wheel's radius, at 45 degrees to the axle. */
+/* An ellipsoid of revolution whose axis lies across the wheel's radius. */
 typedef struct {
     double ring_m;   /* the axle to the roller's centre */
     double radius_m; /* across its axis */
@@ -45,24 +55,26 @@ typedef struct {
 
 /* The roller whose lowest point is as low in the middle of its turn as where the next one takes over. With
  * the axle above the ground by h, at the angle f from there: h = ring cos f + sqrt(radius^2 + (half^2 -
- * radius^2) sin^2 f / 2). In between it is lower by 0.06 % of the wheel's radius. */
-static roller roller_shape(double wheel_radius_m) {
-    const double radius = ROLLER_RADIUS_RATIO * wheel_radius_m;
-    const double ring = wheel_radius_m - radius;
+ * radius^2) sin^2 f c), with c the squared cosine of the roller's axis to the wheel's plane. In between it is
+ * lower by 0.06 % of the wheel's radius. */
+static roller roller_shape(const mecanum_parameters *p, double wheel_m) {
+    const double radius = ROLLER_RADIUS_RATIO * wheel_m;
+    const double ring = wheel_m - radius;
     const double over = TWO_PI / (2.0 * ROLLERS);
-    const double there = wheel_radius_m - ring * cos(over);
-    const double half_sine_squared = sin(over) * sin(over) / 2.0;
-    const double half_squared = radius * radius + (there * there - radius * radius) / half_sine_squared;
+    const double there = wheel_m - ring * cos(over);
+    const double part = sin(over) * sin(over) * cosine_squared(p);
+    const double half_squared = radius * radius + (there * there - radius * radius) / part;
     return (roller){.ring_m = ring, .radius_m = radius, .half_m = sqrt(half_squared)};
 }
 
 /* Shares out masses and inertias so that the whole is what the parameters say. */
 static bool shared_out(const mecanum_parameters *p, masses *to, char *problem, size_t size) {
-    roller r = roller_shape(p->wheel_radius_m);
-    /* Of a roller that weighs 1 kg; about the axle its axis stands at 45 degrees. */
+    const double along = 1.0 - cosine_squared(p); /* of a roller's axis with the axle */
+    roller r = roller_shape(p, p->wheel_radius_m);
+    /* Of a roller that weighs 1 kg. */
     const double axial = 0.4 * r.radius_m * r.radius_m;
     const double across = 0.2 * (r.radius_m * r.radius_m + r.half_m * r.half_m);
-    const double about_axle = r.ring_m * r.ring_m + 0.5 * (axial + across);
+    const double about_axle = r.ring_m * r.ring_m + along * axial + (1.0 - along) * across;
     r.mass_kg = ROLLERS_SHARE * p->wheel_inertia_kg_m2 / (ROLLERS * about_axle);
     r.axial_kg_m2 = axial * r.mass_kg;
     r.across_kg_m2 = across * r.mass_kg;
@@ -107,8 +119,8 @@ static bool shared_out(const mecanum_parameters *p, masses *to, char *problem, s
 /* Axis of the roller on the ground, body frame: seen from below, X and O are each other's picture. */
 static void ground_axis(const mecanum_parameters *p, int wheel, double axis[3]) {
     const double x_sign = p->rollers == MECANUM_ROLLERS_X ? -1.0 : 1.0;
-    axis[0] = SQRT_HALF;
-    axis[1] = x_sign * AHEAD[wheel] * LEFT[wheel] * SQRT_HALF;
+    axis[0] = sqrt(cosine_squared(p));
+    axis[1] = x_sign * AHEAD[wheel] * LEFT[wheel] * sqrt(1.0 - cosine_squared(p));
     axis[2] = 0.0;
 }
 
@@ -225,12 +237,20 @@ static void add_block(mjsBody *chassis, const mecanum_parameters *p, int place) 
     geom->solref[0] = 0.005;
 }
 
+/* A wheel of another radius than the nominal one has its axle higher or lower, so that the robot stands
+ * level; its rollers weigh as much. */
 static void add_wheel(mjSpec *spec, mjsBody *chassis, const mecanum_parameters *p, const masses *m,
                       int place) {
     mjsBody *const wheel = mjs_addBody(chassis, NULL);
+    const double radius_m = wheel_radius_m(p, place);
+    roller shape = roller_shape(p, radius_m);
+    shape.mass_kg = m->roller.mass_kg;
+    shape.axial_kg_m2 = m->roller.axial_kg_m2;
+    shape.across_kg_m2 = m->roller.across_kg_m2;
     mjs_setName(wheel->element, NAMES[place]);
     wheel->pos[0] = AHEAD[place] * p->half_length_m;
     wheel->pos[1] = LEFT[place] * p->half_width_m;
+    wheel->pos[2] = radius_m - p->wheel_radius_m;
     set_inertia(wheel, m->hub_mass_kg, m->hub_across_kg_m2, m->hub_axial_kg_m2, ALONG_AXLE);
 
     mjsJoint *const axle = mjs_addJoint(wheel, NULL);
@@ -239,8 +259,8 @@ static void add_wheel(mjSpec *spec, mjsBody *chassis, const mecanum_parameters *
     axle->axis[0] = axle->axis[2] = 0.0;
     axle->axis[1] = 1.0; /* forward is positive */
     axle->damping[0] = p->viscous_n_m_s_rad;
-    axle->frictionloss = p->friction_coefficient * p->mass_kg * GRAVITY_M_S2 * cos(p->slope_rad) *
-                         p->wheel_radius_m / MECANUM_WHEELS;
+    axle->frictionloss =
+        p->friction_coefficient * p->mass_kg * GRAVITY_M_S2 * cos(p->slope_rad) * radius_m / MECANUM_WHEELS;
 
     /* Ten times stiffer than usual: on a slope a robot that sticks creeps by less than 0.1 mm/s. */
     axle->solref_friction[0] = 0.005;
@@ -252,11 +272,10 @@ static void add_wheel(mjSpec *spec, mjsBody *chassis, const mecanum_parameters *
     motor->trntype = mjTRN_JOINT;
     mjs_setString(motor->target, NAMES[place]);
 
-    mjsGeom *const hub =
-        add_picture(wheel, mjGEOM_CYLINDER, 0.9 * m->roller.ring_m, 0.5 * m->roller.half_m, 0.0);
+    mjsGeom *const hub = add_picture(wheel, mjGEOM_CYLINDER, 0.9 * shape.ring_m, 0.5 * shape.half_m, 0.0);
     mju_copy4(hub->quat, ALONG_AXLE);
     for (int number = 0; number < ROLLERS; number++) {
-        add_roller(wheel, p, &m->roller, place, number);
+        add_roller(wheel, p, &shape, place, number);
     }
 }
 
@@ -294,8 +313,9 @@ void robot_rolling(const mecanum_parameters *p, double velocity[VELOCITIES]) {
     velocity[0] = p->start_vx_m_s;
     velocity[1] = p->start_vy_m_s;
     velocity[5] = yaw_rate;
-    const roller r = roller_shape(p->wheel_radius_m);
     for (int place = 0; place < MECANUM_WHEELS; place++) {
+        const double radius_m = wheel_radius_m(p, place);
+        const roller r = roller_shape(p, radius_m);
         double axis[3];
         ground_axis(p, place, axis);
         /* The hub's velocity; less the wheel's speed times its radius it has no part along the roller's axis,
@@ -305,7 +325,7 @@ void robot_rolling(const mecanum_parameters *p, double velocity[VELOCITIES]) {
         const double rolled = (axis[0] * hub[0] + axis[1] * hub[1]) / axis[0];
         const double spin = (axis[1] * (hub[0] - rolled) - axis[0] * hub[1]) / r.radius_m;
         double *const wheel = velocity + wheel_velocity(place);
-        wheel[0] = rolled / p->wheel_radius_m;
+        wheel[0] = rolled / radius_m;
         for (int number = 1; number <= ROLLERS; number++) {
             wheel[number] = spin;
         }

@@ -17,7 +17,18 @@ from hil.core.errors import DeviceError
 from hil.core.types import Wheels
 from hil.plant.archive import sha256
 from hil.plant.fmu import FmuPlant
-from tests.support.mujoco_testbed import FIRST_WHEEL, FMU, WHEEL_JOINTS, WHEELS, Robot, build, model, mujoco, robot
+from tests.support.mujoco_testbed import (
+    FIRST_WHEEL,
+    FMU,
+    RIGID,
+    WHEEL_JOINTS,
+    WHEELS,
+    Robot,
+    build,
+    model,
+    mujoco,
+    robot,
+)
 
 AXLES = [FIRST_WHEEL + WHEEL_JOINTS * wheel for wheel in range(4)]
 
@@ -108,6 +119,19 @@ def test_a_load_that_is_put_on_between_steps_slows_the_robot() -> None:
             gained.append(plant.twist[0] - before)
         added = 4 * 0.005 / 0.075**2
         assert gained[1] / gained[0] == pytest.approx((20 + added) / (40 + added), rel=0.03)
+
+
+def test_the_sensors_err_as_those_of_the_shipped_plant_do() -> None:
+    """The same seed, biases and scale: both plants at rest read the same beside what the robot itself does."""
+    wrong = {"gyro_noise_rad_s": 0.02, "accelerometer_noise_m_s2": 0.3, "seed": 7, "gyro_scale": 1.5}
+    wrong |= {"gyro_bias_z_rad_s": 0.1, "accelerometer_bias_x_m_s2": -0.2}
+    axes = [f"gyro.{axis}_rad_s" for axis in "xyz"] + [f"accelerometer.{axis}_m_s2" for axis in "xyz"]
+    with robot(**wrong) as plant, robot() as quiet, robot(RIGID, **wrong) as shipped, robot(RIGID) as silent:
+        for each in (plant, quiet, shipped, silent):
+            each.step(3)
+        true = quiet.get(*axes) * ([1.5] * 3 + [1.0] * 3)
+        assert plant.get(*axes) - true == pytest.approx(shipped.get(*axes) - silent.get(*axes), abs=1e-12)
+        assert np.all(plant.get(*axes) != quiet.get(*axes))
 
 
 def test_encoder_counts_and_current_follow_from_angle_and_torque() -> None:

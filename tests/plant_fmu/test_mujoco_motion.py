@@ -64,22 +64,28 @@ def test_positive_and_negative_torques_drive_where_kinematics_says(direction: st
             assert np.all(sense * sign * plant.wheels("speed_rad_s") > 1.0)
 
 
-@pytest.mark.parametrize("speed_rad_s", [2.0, 10.0])
+@pytest.mark.parametrize(
+    ("loss", "speed_rad_s", "larger"), [(0.0, 2.0, 1.0), (0.0, 10.0, 1.0), (0.05, 4.0, 1.0), (-0.05, 4.0, 1.02)]
+)
 @pytest.mark.parametrize(("direction", "deficit"), [("forward", 0.0), ("left", 0.0115), ("turn", 0.0058)])
-def test_the_twist_follows_from_the_wheel_speeds_up_to_the_rollers_number(
-    direction: str, deficit: float, speed_rad_s: float
+def test_the_twist_follows_from_the_wheel_speeds_up_to_the_rollers_number_and_the_loss(
+    direction: str, deficit: float, loss: float, speed_rad_s: float, larger: float
 ) -> None:
     # Contacts wander along the rollers: sideways is shorter by sin(pi/n) / (pi/n) for n rollers, a turn by half of it.
     axis = list(DIRECTIONS).index(direction)
-    with robot() as plant:
-        drive(plant, speed_rad_s * DIRECTIONS[direction], 500)
+    lost = {"forward": 0.0, "left": loss, "turn": 0.5 * loss}[direction]
+    size = np.array([1.0, larger, 1.0, 1.0])
+    with robot(sideways_loss=loss, **{"wheel.fr.radius_factor": larger}) as plant:
+        drive(plant, speed_rad_s * DIRECTIONS[direction] / size, 500)
         pose, angle = plant.pose, plant.wheels("angle_rad")
-        drive(plant, speed_rad_s * DIRECTIONS[direction], 1000)
+        drive(plant, speed_rad_s * DIRECTIONS[direction] / size, 1000)
         x, y, turned = plant.pose - pose
         c, s = math.cos(pose[2]), math.sin(pose[2])
         moved = (c * x + s * y, c * y - s * x, turned)[axis]
-        rolled = 0.075 * DIRECTIONS[direction] @ (plant.wheels("angle_rad") - angle) / 4
-        assert moved / (rolled / (0.6 if direction == "turn" else 1.0)) == pytest.approx(1.0 - deficit, abs=0.0015)
+        rolled = 0.075 * DIRECTIONS[direction] @ (size * (plant.wheels("angle_rad") - angle)) / 4
+        assert moved / (rolled / (0.6 if direction == "turn" else 1.0)) == pytest.approx(
+            (1.0 - deficit) * (1.0 - lost), abs=0.0015
+        )
 
 
 @pytest.mark.parametrize("torque_n_m", [0.8, 1.6])

@@ -128,6 +128,15 @@ def test_biases_are_added_each_to_its_axis() -> None:
     assert all(VARIABLES[name].variability == "tunable" for name in names)
 
 
+@pytest.mark.parametrize("rate", [0.7, -0.7])
+def test_a_gyro_whose_scale_is_wrong_reads_so_much_more_of_the_rate_alone(rate: float) -> None:
+    """Bias and noise are as large as those of a right one."""
+    wrong = {"start_yaw_rate_rad_s": rate, "gyro_bias_z_rad_s": 0.1, **NOISY}
+    with robot(wrong, gyro_scale=1.01) as plant, robot(wrong) as right:
+        difference = plant.read(IMU) - right.read(IMU)
+    np.testing.assert_allclose(difference, [0.0, 0.0, 0.01 * rate, 0.0, 0.0, 0.0], atol=1e-15)
+
+
 @pytest.mark.parametrize("start", [{}, {"com_x_m": 0.1, "drive": VOLTAGE}, {"contact": SLIP}], ids=str)
 def test_the_accelerometer_feels_the_second_derivative_of_the_pose(start: dict[str, float]) -> None:
     """In the turning body frame, less gravity along the slope: centred differences of the true pose, 1e-5 m/s^2."""

@@ -4,7 +4,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tests.support.plant_testbed import RIGID, START, TORQUE, O, X
+from tests.support.plant_testbed import RIGID, START, TORQUE, O, X, wheels
 
 HOLDS = 3  # how often a run changes its inputs
 
@@ -37,6 +37,8 @@ def robots(*, contact: int = RIGID, drive: int = TORQUE, **fixed: Any) -> st.Sea
         "battery_resistance_ohm": _between(0, 0.1),
         "grip_coefficient": _between(0.5, 0.9),
         "roller_friction_coefficient": _between(0, 0.02),
+        **dict.fromkeys(wheels("radius_factor"), _between(0.9, 1.1)),
+        "sideways_loss": _between(-0.1, 0.1),
         **dict(zip(START, [*[_between(-2, 2)] * 3, *[_between(-0.5, 0.5)] * 3], strict=True)),
     }
     chosen = {name: st.just(value) for name, value in fixed.items()}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tests.support.plant_testbed import DEFAULTS, GRIPS, SLIP, START, TORQUE, VOLTAGE, O
+from tests.support.plant_testbed import DEFAULTS, GRIPS, SLIP, START, TORQUE, VOLTAGE, O, wheels
 
 G = 9.81
 
@@ -39,7 +39,9 @@ class Oracle:
         self.com = p["com_x_m"] + 1j * p["com_y_m"]
         self.levers = self.stands - self.com
         turned = -1 if p["rollers"] == O else 1
-        self.rollers = np.exp(1j * turned * np.deg2rad([-45, 45, -45, 45]))
+        angle = np.arctan(1 / (1 - p["sideways_loss"]))  # of a roller's axis on the ground, from straight ahead
+        self.rollers = np.exp(1j * turned * angle * np.array([-1, 1, -1, 1]))
+        self.radius = p["wheel_radius_m"] * np.array([p[name] for name in wheels("radius_factor")])
         self.spin_inertia = p["wheel_inertia_kg_m2"] + p["gear_ratio"] ** 2 * p["rotor_inertia_kg_m2"]
         self.inertia = np.array([p["mass_kg"]] * 2 + [p["inertia_kg_m2"]] + [self.spin_inertia] * 4)
         self.grip = p["grip_coefficient"] * np.array([p[name] for name in GRIPS])
@@ -59,7 +61,7 @@ class Oracle:
         velocity = vx + 1j * vy + 1j * yaw_rate * e * self.com
         contact = velocity + 1j * yaw_rate * e * self.levers
         axis = e * self.rollers
-        spin = _dot(axis, contact) / _dot(axis, e) / self.p["wheel_radius_m"]
+        spin = _dot(axis, contact) / _dot(axis, e) / self.radius
         body = [com.real, com.imag, heading, *np.zeros(4)]
         return np.array([*body, velocity.real, velocity.imag, yaw_rate, *spin, *np.zeros(8)])
 
@@ -107,7 +109,7 @@ class Oracle:
         axis, lever = e * self.rollers, e * self.levers
         constraint = np.zeros((4, 7))
         constraint[:, 0], constraint[:, 1], constraint[:, 2] = axis.real, axis.imag, _dot(axis, 1j * lever)
-        constraint[:, 3:] = np.diag(-self.p["wheel_radius_m"] * _dot(axis, e))
+        constraint[:, 3:] = np.diag(-self.radius * _dot(axis, e))
         # Of A only the axes themselves turn; the other columns are the same in the body frame.
         drift = _dot(1j * speed[2] * axis, speed[0] + 1j * speed[1])
         system = np.block([[np.diag(self.inertia), constraint.T], [constraint, np.zeros((4, 4))]])
@@ -118,7 +120,7 @@ class Oracle:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Spring and damper along each roller, rolling resistance across it; the load from the balance of moments."""
         p = self.p
-        stiffness, r = p["roller_stiffness_n_m"], p["wheel_radius_m"]
+        stiffness, r = p["roller_stiffness_n_m"], self.radius
         axis, lever = e * self.rollers, e * self.levers
         contact = speed[0] + 1j * speed[1] + 1j * speed[2] * lever - r * speed[3:] * e
         along, across = _dot(axis, contact), _cross(axis, contact)
@@ -140,7 +142,7 @@ class Oracle:
         """
         elastic = -self.p["roller_stiffness_n_m"] * deflection * self.rollers
         momentum = 1j * self.spin_inertia * np.sum(spin)
-        rate = 1j * np.sum(torque - self.p["wheel_radius_m"] * elastic.real) + 1j * yaw_rate * momentum
+        rate = 1j * np.sum(torque - self.radius * elastic.real) + 1j * yaw_rate * momentum
         of_forces = -1j * self.p["com_height_m"] * np.sum(elastic)
         first_moment = 1j * (rate - of_forces) + self.com * self.upright_n
         return self.sharing @ [self.upright_n, first_moment.real, first_moment.imag, 0.0]
