@@ -69,7 +69,7 @@ static void other_torques(const mecanum_model *model, const mecanum_inputs *u, c
     mecanum_drive drive;
     mecanum_drives(model, u, state, speed_rad_s, &drive);
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        torque_n_m[i] = drive.torque_n_m[i] - model->p->viscous_n_m_s_rad * speed_rad_s[i] -
+        torque_n_m[i] = drive.torque_n_m[i] - model->viscous_n_m_s_rad[i] * speed_rad_s[i] -
                         model->friction_n_m[i] * modes->sign[i];
     }
 }

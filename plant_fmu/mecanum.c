@@ -81,10 +81,15 @@ static double wheel_ease(const mecanum_model *model) {
     return largest;
 }
 
+static double largest(const double of[MECANUM_WHEELS]) {
+    return fmax(fmax(of[0], of[1]), fmax(of[2], of[3]));
+}
+
 /* The longest step for motors and viscous friction, on wheels of this ease. */
-static double longest_axle_step_s(const mecanum_parameters *p, double ease) {
-    const double axle_constant = p->gear_ratio * p->motor_constant_n_m_a;
-    double longest_s = DAMPING_STEP / (p->viscous_n_m_s_rad * ease);
+static double longest_axle_step_s(const mecanum_model *model, double ease) {
+    const mecanum_parameters *const p = model->p;
+    const double axle_constant = largest(model->axle_constant);
+    double longest_s = DAMPING_STEP / (largest(model->viscous_n_m_s_rad) * ease);
     if (p->drive == MECANUM_DRIVE_CURRENT) {
         /* At the limit of the voltage the winding's resistance damps the wheels. */
         longest_s =
@@ -99,22 +104,20 @@ static double longest_axle_step_s(const mecanum_parameters *p, double ease) {
     return longest_s;
 }
 
-double mecanum_internal_steps(const mecanum_parameters *p, double step_s) {
-    mecanum_model model;
-    mecanum_prepare(&model, p);
-    double longest_s = fmin(p->longest_step_s, longest_axle_step_s(p, wheel_ease(&model)));
+double mecanum_internal_steps(const mecanum_model *model, double step_s) {
+    const mecanum_parameters *const p = model->p;
+    double longest_s = fmin(p->longest_step_s, longest_axle_step_s(model, wheel_ease(model)));
     if (p->contact == MECANUM_CONTACT_SLIP) {
         /* Motion of a contact along its roller for one newton there: of the wheel, and of the whole robot. */
-        const double r =
-            fmax(fmax(model.radius_m[0], model.radius_m[1]), fmax(model.radius_m[2], model.radius_m[3]));
+        const double r = largest(model->radius_m);
         const double lever_m = p->half_length_m + p->half_width_m;
         const double driven =
-            1.0 / (1.0 + model.roller_slant[0] * model.roller_slant[0]); /* cosine squared */
-        const double ease = driven * r * r / model.wheel_inertia_kg_m2 +
-                            2.0 * (model.inverse_mass.at[0][0] + model.inverse_mass.at[1][1] +
-                                   lever_m * lever_m * model.inverse_mass.at[2][2]);
+            1.0 / (1.0 + model->roller_slant[0] * model->roller_slant[0]); /* cosine squared */
+        const double ease = driven * r * r / model->wheel_inertia_kg_m2 +
+                            2.0 * (model->inverse_mass.at[0][0] + model->inverse_mass.at[1][1] +
+                                   lever_m * lever_m * model->inverse_mass.at[2][2]);
         const double resistance_n_s_m =
-            p->roller_friction_coefficient * model.gravity_upright_n / MECANUM_RESISTANCE_SPEED_M_S;
+            p->roller_friction_coefficient * model->gravity_upright_n / MECANUM_RESISTANCE_SPEED_M_S;
         const double damping_n_s_m = fmax(p->roller_damping_n_s_m, resistance_n_s_m);
         longest_s = fmin(longest_s, CONTACT_STEP / sqrt(p->roller_stiffness_n_m * ease));
         longest_s = fmin(longest_s, CONTACT_STEP / fmax(damping_n_s_m * ease, 1.0));
@@ -138,7 +141,7 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
     double lost_w = drive.lost_w;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double friction_n_m =
-            p->viscous_n_m_s_rad * speed_rad_s[i] + model->friction_n_m[i] * modes->sign[i];
+            model->viscous_n_m_s_rad[i] * speed_rad_s[i] + model->friction_n_m[i] * modes->sign[i];
         torque_n_m[i] = drive.torque_n_m[i] - friction_n_m;
         lost_w += friction_n_m * speed_rad_s[i];
         rate[MECANUM_WHEEL_ANGLE_RAD + i] = modes->at_rest[i] ? 0.0 : speed_rad_s[i];
@@ -236,15 +239,13 @@ void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, cons
     divide(model, u, modes, step_s, MOST_HALVINGS, state);
 }
 
-void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
+void mecanum_advance(const mecanum_model *model, const mecanum_inputs *u, double step_s,
                      double internal_steps, mecanum_state *state) {
-    mecanum_model model;
-    mecanum_prepare(&model, p);
     for (long i = 0; i < (long)internal_steps; i++) {
-        mecanum_step(&model, u, step_s / internal_steps, state);
+        mecanum_step(model, u, step_s / internal_steps, state);
     }
-    if (p->contact != MECANUM_CONTACT_SLIP) {
-        roll_on(&model, state);
+    if (model->p->contact != MECANUM_CONTACT_SLIP) {
+        roll_on(model, state);
     }
 }
 
@@ -296,18 +297,17 @@ static void sense(const mecanum_model *model, const mecanum_state *state, const 
     plant_inertial(model->p, time_s, turning, acceleration, out);
 }
 
-void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
+void mecanum_output(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
                     double time_s, mecanum_outputs *out) {
-    mecanum_model model;
+    const mecanum_parameters *const p = model->p;
     mecanum_modes modes;
     mecanum_drive drive;
     mecanum_contact ground;
     mecanum_state settled = *state;
     mecanum_state derivative;
     double torque_n_m[MECANUM_WHEELS];
-    mecanum_prepare(&model, p);
-    mecanum_settle(&model, u, &settled, &modes);
-    mecanum_derivative(&model, u, &modes, &settled, &derivative);
+    mecanum_settle(model, u, &settled, &modes);
+    mecanum_derivative(model, u, &modes, &settled, &derivative);
 
     const double *const x = state->x;
     out->pose_x_m = x[MECANUM_X_M];
@@ -315,9 +315,9 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
     out->pose_heading_rad = x[MECANUM_HEADING_RAD];
     out->twist_vx_m_s = derivative.x[MECANUM_X_M];
     out->twist_vy_m_s = derivative.x[MECANUM_Y_M];
-    out->twist_yaw_rate_rad_s = x[MECANUM_YAW_RATE_RAD_S] * (model.is_held ? 0.0 : 1.0);
-    mecanum_wheel_speeds(&model, &settled, out->wheel_speed_rad_s);
-    mecanum_drives(&model, u, &settled, out->wheel_speed_rad_s, &drive);
+    out->twist_yaw_rate_rad_s = x[MECANUM_YAW_RATE_RAD_S] * (model->is_held ? 0.0 : 1.0);
+    mecanum_wheel_speeds(model, &settled, out->wheel_speed_rad_s);
+    mecanum_drives(model, u, &settled, out->wheel_speed_rad_s, &drive);
     out->battery_voltage_v = drive.battery_v;
     out->battery_current_a = drive.battery_a;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
@@ -325,18 +325,18 @@ void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const 
         out->wheel_current_a[i] = drive.current_a[i];
         out->wheel_temperature_degc[i] = x[MECANUM_TEMPERATURE_DEGC + i];
         out->wheel_axle_torque_n_m[i] = drive.torque_n_m[i];
-        out->wheel_load_n[i] = model.lifted[i] ? 0.0 : model.load_n[i];
+        out->wheel_load_n[i] = model->lifted[i] ? 0.0 : model->load_n[i];
         out->wheel_slip_m_s[i] = 0.0;
-        torque_n_m[i] = drive.torque_n_m[i] - p->viscous_n_m_s_rad * out->wheel_speed_rad_s[i] -
-                        model.friction_n_m[i] * modes.sign[i];
+        torque_n_m[i] = drive.torque_n_m[i] - model->viscous_n_m_s_rad[i] * out->wheel_speed_rad_s[i] -
+                        model->friction_n_m[i] * modes.sign[i];
     }
     if (p->contact == MECANUM_CONTACT_SLIP) {
-        mecanum_ground(&model, &modes, &settled, torque_n_m, &ground);
+        mecanum_ground(model, &modes, &settled, torque_n_m, &ground);
         memcpy(out->wheel_load_n, ground.load_n, sizeof out->wheel_load_n);
         memcpy(out->wheel_slip_m_s, ground.slip_m_s, sizeof out->wheel_slip_m_s);
     }
     out->energy_supplied_j = x[MECANUM_SUPPLIED_J];
-    out->energy_stored_j = stored_j(&model, state);
+    out->energy_stored_j = stored_j(model, state);
     out->energy_lost_j = x[MECANUM_LOST_J];
-    sense(&model, &settled, &derivative, time_s, out);
+    sense(model, &settled, &derivative, time_s, out);
 }

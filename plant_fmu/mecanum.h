@@ -34,20 +34,23 @@ typedef struct {
     double x[MECANUM_STATES];
 } mecanum_state;
 
+/* What follows from the parameters, once for all steps: model.h. */
+typedef struct mecanum_model mecanum_model;
+
 /* Writes the state at the start: the pose and velocity that the parameters give, wheels rolling, no current.
  */
 void mecanum_start(const mecanum_parameters *p, mecanum_state *state);
 
 /* Number of internal steps that a step of `step_s` takes: not longer than `longest_step_s`, and than the
  * fastest of motors and contacts allows. */
-double mecanum_internal_steps(const mecanum_parameters *p, double step_s);
+double mecanum_internal_steps(const mecanum_model *model, double step_s);
 
 /* Advances the state by `step_s`, in so many equal steps, with the inputs held. */
-void mecanum_advance(const mecanum_parameters *p, const mecanum_inputs *u, double step_s,
+void mecanum_advance(const mecanum_model *model, const mecanum_inputs *u, double step_s,
                      double internal_steps, mecanum_state *state);
 
 /* Writes what follows from the state, the inputs and the time. */
-void mecanum_output(const mecanum_parameters *p, const mecanum_inputs *u, const mecanum_state *state,
+void mecanum_output(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
                     double time_s, mecanum_outputs *out);
 
 HIDDEN_END

@@ -1,6 +1,40 @@
-/* The equations of mecanum.c behind an instance. They keep nothing outside the state. */
+/* The equations of mecanum.c behind an instance. Beside the state they keep the model of the parameters,
+ * which is made anew whenever these differ from those it was made for. */
 
 #include "physics.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "model.h"
+
+typedef struct {
+    mecanum_parameters parameters;
+    mecanum_model model;
+} workshop;
+
+void physics_release(plant_instance *plant) {
+    free(plant->physics);
+    plant->physics = NULL;
+}
+
+/* Returns the model of the parameters as they are now, or NULL after a failure. */
+static const mecanum_model *prepared(plant_instance *plant) {
+    workshop *w = plant->physics;
+    if (w == NULL) {
+        w = plant->physics = calloc(1, sizeof *w);
+        if (w == NULL) {
+            plant_fail(plant, "out of memory");
+            return NULL;
+        }
+    }
+    if (w->model.p == NULL || memcmp(&w->parameters, &plant->now.parameters, sizeof w->parameters) != 0) {
+        /* All of the struct, also its padding: it is compared as bytes. */
+        memcpy(&w->parameters, &plant->now.parameters, sizeof w->parameters);
+        mecanum_prepare(&w->model, &w->parameters);
+    }
+    return &w->model;
+}
 
 /* Says what is wrong with parameters that are each within their range, or NULL. */
 static const char *problem_of(const mecanum_parameters *p) {
@@ -30,8 +64,9 @@ bool physics_start(plant_instance *plant) {
     return true;
 }
 
-double physics_internal_steps(const plant_instance *plant, double step_s) {
-    return mecanum_internal_steps(&plant->now.parameters, step_s);
+double physics_internal_steps(plant_instance *plant, double step_s) {
+    const mecanum_model *const model = prepared(plant);
+    return model == NULL ? 1.0 : mecanum_internal_steps(model, step_s);
 }
 
 static bool is_finite(const mecanum_state *state) {
@@ -48,8 +83,12 @@ bool physics_advance(plant_instance *plant, double step_s, double internal_steps
     if (problem != NULL) {
         return plant_discard(plant, "doStep: %s", problem);
     }
+    const mecanum_model *const model = prepared(plant);
+    if (model == NULL) {
+        return false;
+    }
     mecanum_state state = plant->now.state;
-    mecanum_advance(&plant->now.parameters, &plant->now.inputs, step_s, internal_steps, &state);
+    mecanum_advance(model, &plant->now.inputs, step_s, internal_steps, &state);
     if (!is_finite(&state)) {
         return plant_discard_extreme(
             plant, "doStep: the state is no longer finite after %.10g s; look at the inputs",
@@ -68,11 +107,11 @@ bool physics_advance(plant_instance *plant, double step_s, double internal_steps
 }
 
 bool physics_output(plant_instance *plant) {
+    const mecanum_model *const model = prepared(plant);
+    if (model == NULL) {
+        return false;
+    }
     const plant_snapshot *const now = &plant->now;
-    mecanum_output(&now->parameters, &now->inputs, &now->state, now->time_s, &plant->now.outputs);
+    mecanum_output(model, &now->inputs, &now->state, now->time_s, &plant->now.outputs);
     return true;
-}
-
-void physics_release(plant_instance *plant) {
-    (void)plant;
 }

@@ -50,12 +50,15 @@ void mecanum_share_load(const mecanum_model *model, double pitch_n_m, double rol
     }
 }
 
-static void limit_friction(mecanum_model *model, const mecanum_parameters *p) {
+static void equip_axles(mecanum_model *model, const mecanum_parameters *p) {
     const double whole_n = model->gravity_upright_n;
     mecanum_share_load(model, whole_n * p->com_x_m, whole_n * p->com_y_m, model->load_n);
     model->has_friction = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        model->friction_n_m[i] = p->friction_coefficient * model->load_n[i] * model->radius_m[i];
+        model->friction_n_m[i] =
+            p->friction_coefficient * p->wheel_friction_factor[i] * model->load_n[i] * model->radius_m[i];
+        model->viscous_n_m_s_rad[i] = p->viscous_n_m_s_rad * p->wheel_friction_factor[i];
+        model->axle_constant[i] = p->gear_ratio * p->motor_constant_n_m_a * p->wheel_torque_factor[i];
         model->has_friction = model->has_friction || model->friction_n_m[i] > 0.0;
     }
 }
@@ -133,7 +136,7 @@ void mecanum_prepare(mecanum_model *model, const mecanum_parameters *p) {
     model->gravity_in_plane_n = weight_n * sin(p->slope_rad);
     model->gravity_upright_n = weight_n * cos(p->slope_rad);
     place_wheels(model, p);
-    limit_friction(model, p);
+    equip_axles(model, p);
     weigh(model, p);
     lift_wheels(model, p);
     if (model->any_lifted || model->is_uneven) {

@@ -23,7 +23,7 @@ typedef struct {
     double at[3][3];
 } mecanum_matrix;
 
-typedef struct {
+struct mecanum_model {
     const mecanum_parameters *p;
     double wheel_x_m[MECANUM_WHEELS]; /* where the wheels stand, body frame */
     double wheel_y_m[MECANUM_WHEELS];
@@ -45,8 +45,10 @@ typedef struct {
     double gravity_upright_n;
     double load_n[MECANUM_WHEELS];       /* at rest on level ground, for the friction; never negative */
     double friction_n_m[MECANUM_WHEELS]; /* Coulomb's, at each axle */
+    double viscous_n_m_s_rad[MECANUM_WHEELS];
+    double axle_constant[MECANUM_WHEELS]; /* of motor and gear, N m / A and V s / rad */
     bool has_friction;
-} mecanum_model;
+};
 
 /* What the drives do in one state. */
 typedef struct {

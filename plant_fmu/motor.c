@@ -13,6 +13,11 @@ static double clamp(double x, double low, double high) {
     return fmin(fmax(x, low), high);
 }
 
+/* The axle constant that a drive knows: the same for all wheels. */
+static double believed_constant(const mecanum_parameters *p) {
+    return p->gear_ratio * p->motor_constant_n_m_a;
+}
+
 /* Voltage of the battery when the motors together take `power_w`: V (U - V) = R P. A battery from which more
  * is asked than it can give is at half of its voltage. */
 static double loaded_voltage_v(const mecanum_parameters *p, double power_w) {
@@ -22,11 +27,11 @@ static double loaded_voltage_v(const mecanum_parameters *p, double power_w) {
 }
 
 /* Electrical power of motors that carry `current_a` at `speed_rad_s`, without change of current. */
-static double power_w(const mecanum_parameters *p, double axle_constant, const double *current_a,
+static double power_w(const mecanum_parameters *p, const double *axle_constant, const double *current_a,
                       const double *speed_rad_s) {
     double sum = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        sum += (p->motor_resistance_ohm * current_a[i] + axle_constant * speed_rad_s[i]) * current_a[i];
+        sum += (p->motor_resistance_ohm * current_a[i] + axle_constant[i] * speed_rad_s[i]) * current_a[i];
     }
     return sum;
 }
@@ -47,12 +52,13 @@ static void load_battery(const mecanum_parameters *p, double voltage_v, double p
 }
 
 /* The torques are what they are; the battery only shows what a robot would draw. */
-static void drive_torque(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+static void drive_torque(const mecanum_parameters *p, const double *axle_constant, const mecanum_inputs *u,
                          const double *speed_rad_s, mecanum_drive *drive) {
     double mechanical_w = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        drive->current_a[i] = u->wheel_torque_n_m[i] / axle_constant;
-        mechanical_w += u->wheel_torque_n_m[i] * speed_rad_s[i];
+        drive->current_a[i] = u->wheel_torque_n_m[i] / believed_constant(p);
+        drive->torque_n_m[i] = u->wheel_torque_n_m[i] * p->wheel_torque_factor[i];
+        mechanical_w += drive->torque_n_m[i] * speed_rad_s[i];
     }
     const double power = power_w(p, axle_constant, drive->current_a, speed_rad_s);
     load_battery(p, loaded_voltage_v(p, power), power, drive);
@@ -62,11 +68,11 @@ static void drive_torque(const mecanum_parameters *p, double axle_constant, cons
 
 /* What motors and battery are at one voltage: the currents as near to the set points as it pushes, and by how
  * much the battery's own voltage under them is above it. */
-static double surplus_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+static double surplus_v(const mecanum_parameters *p, const double *axle_constant, const double *set_a,
                         const double *speed_rad_s, double voltage_v, double *current_a) {
     const double conductance = 1.0 / p->motor_resistance_ohm;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double back_emf_v = axle_constant * speed_rad_s[i];
+        const double back_emf_v = axle_constant[i] * speed_rad_s[i];
         current_a[i] =
             clamp(set_a[i], (-voltage_v - back_emf_v) * conductance, (voltage_v - back_emf_v) * conductance);
     }
@@ -76,11 +82,11 @@ static double surplus_v(const mecanum_parameters *p, double axle_constant, const
 
 /* The voltage at which the battery gives just what it pushes, wherever it is: regula falsi with the Illinois
  * rule. Also writes the currents. */
-static double searched_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
-                                 const double *speed_rad_s, double *current_a) {
+static double searched_voltage_v(const mecanum_parameters *p, const double *axle_constant,
+                                 const double *set_a, const double *speed_rad_s, double *current_a) {
     double braking_w = 0.0; /* the most that motors at these speeds can give back */
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double back_emf_v = axle_constant * speed_rad_s[i];
+        const double back_emf_v = axle_constant[i] * speed_rad_s[i];
         braking_w += 0.25 * back_emf_v * back_emf_v / p->motor_resistance_ohm;
     }
     double high_v = loaded_voltage_v(p, -braking_w);
@@ -126,7 +132,7 @@ static double searched_voltage_v(const mecanum_parameters *p, double axle_consta
 
 /* The same from a guess, by the secant method: a few steps, where the battery is far from its end and not
  * empty. */
-static double pushing_voltage_v(const mecanum_parameters *p, double axle_constant, const double *set_a,
+static double pushing_voltage_v(const mecanum_parameters *p, const double *axle_constant, const double *set_a,
                                 const double *speed_rad_s, double guess_v, double *current_a) {
     if (guess_v <= EMPTY_V) {
         return searched_voltage_v(p, axle_constant, set_a, speed_rad_s, current_a);
@@ -151,14 +157,16 @@ static double pushing_voltage_v(const mecanum_parameters *p, double axle_constan
 }
 
 /* An ideal current loop: the set point at once, within the limit and what the voltage can push. */
-static void drive_current(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+static void drive_current(const mecanum_parameters *p, const double *axle_constant, const mecanum_inputs *u,
                           const double *speed_rad_s, mecanum_drive *drive) {
     double *const current_a = drive->current_a;
     double set_a[MECANUM_WHEELS];
     double needed_v = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        set_a[i] = clamp(u->wheel_torque_n_m[i] / axle_constant, -p->current_limit_a, p->current_limit_a);
-        needed_v = fmax(needed_v, fabs(p->motor_resistance_ohm * set_a[i] + axle_constant * speed_rad_s[i]));
+        set_a[i] =
+            clamp(u->wheel_torque_n_m[i] / believed_constant(p), -p->current_limit_a, p->current_limit_a);
+        needed_v =
+            fmax(needed_v, fabs(p->motor_resistance_ohm * set_a[i] + axle_constant[i] * speed_rad_s[i]));
     }
     memcpy(current_a, set_a, sizeof set_a);
     double power = power_w(p, axle_constant, current_a, speed_rad_s);
@@ -175,7 +183,7 @@ static void drive_current(const mecanum_parameters *p, double axle_constant, con
 
 /* The duty switches the battery onto the winding, L di/dt = u - R i - e. At the limit of the current the
  * drive takes from the voltage what would raise it further. */
-static void drive_voltage(const mecanum_parameters *p, double axle_constant, const mecanum_inputs *u,
+static void drive_voltage(const mecanum_parameters *p, const double *axle_constant, const mecanum_inputs *u,
                           const mecanum_state *state, const double *speed_rad_s, mecanum_drive *drive) {
     const double *const current_a = state->x + MECANUM_CURRENT_A;
     double battery_a = 0.0;
@@ -188,7 +196,7 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
     double power = 0.0;
     bool limited = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        const double drop_v = p->motor_resistance_ohm * current_a[i] + axle_constant * speed_rad_s[i];
+        const double drop_v = p->motor_resistance_ohm * current_a[i] + axle_constant[i] * speed_rad_s[i];
         const double pushed_a_s = (u->wheel_duty[i] * battery_v - drop_v) / inductance_h;
         const double rate_a_s =
             clamp(pushed_a_s, MECANUM_LIMITER_RATE_1_S * (-p->current_limit_a - current_a[i]),
@@ -203,12 +211,12 @@ static void drive_voltage(const mecanum_parameters *p, double axle_constant, con
 }
 
 /* Motors that are disconnected: what current is left dies away through the diodes, into the battery. */
-static void drive_nothing(const mecanum_parameters *p, double axle_constant, const mecanum_state *state,
-                          const double *speed_rad_s, mecanum_drive *drive) {
+static void drive_nothing(const mecanum_parameters *p, const double *axle_constant,
+                          const mecanum_state *state, const double *speed_rad_s, mecanum_drive *drive) {
     double power = 0.0;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double current_a = state->x[MECANUM_CURRENT_A + i];
-        const double drop_v = p->motor_resistance_ohm * current_a + axle_constant * speed_rad_s[i];
+        const double drop_v = p->motor_resistance_ohm * current_a + axle_constant[i] * speed_rad_s[i];
         drive->current_a[i] = current_a;
         drive->current_rate_a_s[i] = -MECANUM_LIMITER_RATE_1_S * current_a;
         power += (drop_v + p->motor_inductance_h * drive->current_rate_a_s[i]) * current_a;
@@ -220,30 +228,21 @@ static void drive_nothing(const mecanum_parameters *p, double axle_constant, con
 void mecanum_drives(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,
                     const double speed_rad_s[MECANUM_WHEELS], mecanum_drive *drive) {
     const mecanum_parameters *const p = model->p;
-    const double axle_constant = p->gear_ratio * p->motor_constant_n_m_a; /* N m / A and V s / rad */
+    const double *const axle_constant = model->axle_constant;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         drive->current_rate_a_s[i] = 0.0;
     }
     if (u->drive_enabled < 0.5) {
         drive_nothing(p, axle_constant, state, speed_rad_s, drive);
-        for (int i = 0; i < MECANUM_WHEELS; i++) {
-            drive->torque_n_m[i] = axle_constant * drive->current_a[i];
-        }
+    } else if (p->drive == MECANUM_DRIVE_CURRENT) {
+        drive_current(p, axle_constant, u, speed_rad_s, drive);
+    } else if (p->drive == MECANUM_DRIVE_VOLTAGE) {
+        drive_voltage(p, axle_constant, u, state, speed_rad_s, drive);
+    } else {
+        drive_torque(p, axle_constant, u, speed_rad_s, drive);
         return;
     }
-    switch (p->drive) {
-    case MECANUM_DRIVE_CURRENT:
-        drive_current(p, axle_constant, u, speed_rad_s, drive);
-        break;
-    case MECANUM_DRIVE_VOLTAGE:
-        drive_voltage(p, axle_constant, u, state, speed_rad_s, drive);
-        break;
-    default:
-        drive_torque(p, axle_constant, u, speed_rad_s, drive);
-        break;
-    }
     for (int i = 0; i < MECANUM_WHEELS; i++) {
-        drive->torque_n_m[i] =
-            p->drive == MECANUM_DRIVE_TORQUE ? u->wheel_torque_n_m[i] : axle_constant * drive->current_a[i];
+        drive->torque_n_m[i] = axle_constant[i] * drive->current_a[i];
     }
 }

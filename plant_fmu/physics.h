@@ -14,7 +14,7 @@ HIDDEN_BEGIN
 bool physics_start(plant_instance *plant);
 
 /* Number of equal internal steps in a communication step. */
-double physics_internal_steps(const plant_instance *plant, double step_s);
+double physics_internal_steps(plant_instance *plant, double step_s);
 
 /* Advances the state in that many internal steps, with the inputs held. After a failure the state is as it
  * was, so that it may be discarded. */

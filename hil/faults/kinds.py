@@ -52,8 +52,8 @@ class FaultyRobot(Protocol):
     def slow_clock(self, ppm: float) -> ShimRows:
         """Let the firmware's clock run slow."""
 
-    def stop_encoder(self, wheel: str) -> ShimRows:
-        """Let the encoder of a wheel count no more."""
+    def lose_counts(self, wheel: str, part: float) -> ShimRows:
+        """Let the encoder of a wheel miss a part of its counts; 1: all."""
 
     def stop_motor(self, wheel: str) -> ShimRows:
         """Give the motor of a wheel neither torque nor duty."""
@@ -322,7 +322,13 @@ KINDS: tuple[Kind, ...] = (
     Kind("stuck_encoder", "device", WHEEL_NAMES, _WHEEL_WORDS,
          "The encoder stops counting. Counts that it misses stay missing.", "ticks of 1 ms in which counts were lost",
          {"target": "fl", "start_s": 2.0, "end_s": 2.05}, explains=True,
-         on_robot=lambda robot, row: robot.stop_encoder(row.target)),
+         on_robot=lambda robot, row: robot.lose_counts(row.target, 1.0)),
+    Kind("lost_counts", "device", WHEEL_NAMES, _WHEEL_WORDS,
+         "The encoder misses a part of its counts, evenly. They stay missing.",
+         "ticks of 1 ms in which the wheel's count changed",
+         {"target": "rl", "start_s": 2.0, "end_s": 4.0, "value": 0.02},
+         Quantity("value", "", "part of the counts that is lost", 0.0, 1.0, excludes_low=True), explains=True,
+         on_robot=lambda robot, row: robot.lose_counts(row.target, row.value)),
     Kind("dead_motor", "device", WHEEL_NAMES, _WHEEL_WORDS, "The motor gets neither torque nor duty.",
          "ticks of 1 ms in which it would have got some", {"target": "rr", "start_s": 2.0},
          on_robot=lambda robot, row: robot.stop_motor(row.target)),

@@ -99,7 +99,7 @@ static void wire(const robot_wiring *wiring, wheel_sense *sense) {
 }
 
 static void spoil(robot_faults *f, wheel_sense *sense) {
-    bool stuck[4] = {false, false, false, false};
+    double part[4] = {0.0, 0.0, 0.0, 0.0}; /* of its counts that an encoder loses */
     for (const robot_fault *row = f->row; row < f->row + f->rows; row++) {
         if (!row->acts) {
             continue;
@@ -107,8 +107,8 @@ static void spoil(robot_faults *f, wheel_sense *sense) {
         if (row->kind == ROBOT_FAULT_GYRO_BIAS) {
             sense->gyro_rad_s[2] += (float)row->value;
             count(f, row);
-        } else if (row->kind == ROBOT_FAULT_STUCK_ENCODER) {
-            stuck[row->place] = true;
+        } else if (row->kind == ROBOT_FAULT_LOST_COUNTS) {
+            part[row->place] = fmax(part[row->place], row->value);
             if (sense->count[row->place] != f->count[row->place]) {
                 count(f, row);
             }
@@ -116,9 +116,10 @@ static void spoil(robot_faults *f, wheel_sense *sense) {
     }
     for (int i = 0; i < 4; i++) {
         const uint16_t counted = sense->count[i];
-        if (stuck[i]) {
-            f->lost[i] = (uint16_t)(f->lost[i] + counted - f->count[i]);
-        }
+        f->owed[i] += part[i] * (int16_t)(counted - f->count[i]);
+        const double whole = trunc(f->owed[i]);
+        f->owed[i] -= whole;
+        f->lost[i] = (uint16_t)(f->lost[i] + (int)whole);
         f->count[i] = counted;
         sense->count[i] = (uint16_t)(counted - f->lost[i]);
     }

@@ -14,12 +14,12 @@
 
 /* cffi: begin */
 typedef enum {
-    ROBOT_FAULT_STUCK_ENCODER, /* `place` is the channel */
-    ROBOT_FAULT_DEAD_MOTOR,    /* `place` is the channel */
-    ROBOT_FAULT_GYRO_BIAS,     /* `value` rad/s */
-    ROBOT_FAULT_SLOW_CLOCK,    /* `value` ppm */
-    ROBOT_FAULT_RESET,         /* at `first` */
-    ROBOT_FAULT_SET,           /* `place` is the variable's among the settable ones */
+    ROBOT_FAULT_LOST_COUNTS, /* `place` is the channel, `value` the part that is lost */
+    ROBOT_FAULT_DEAD_MOTOR,  /* `place` is the channel */
+    ROBOT_FAULT_GYRO_BIAS,   /* `value` rad/s */
+    ROBOT_FAULT_SLOW_CLOCK,  /* `value` ppm */
+    ROBOT_FAULT_RESET,       /* at `first` */
+    ROBOT_FAULT_SET,         /* `place` is the variable's among the settable ones */
 } robot_fault_kind;
 
 typedef struct {
@@ -65,7 +65,8 @@ typedef struct {
     uint64_t extra_ticks; /* that the plant went on and the firmware did not count */
     double owed_ticks;
     robot_wiring wiring;
-    uint16_t lost[4];  /* counts that a stuck encoder missed */
+    uint16_t lost[4];  /* counts that an encoder missed */
+    double owed[4];    /* what it is to miss of the next one */
     uint16_t count[4]; /* the plant's newest */
 } robot_faults;
 

@@ -143,8 +143,9 @@ class RobotFaults:
     def slow_clock(self, ppm: float) -> "ShimRows":
         return ({"kind": self._lib.ROBOT_FAULT_SLOW_CLOCK, "value": ppm},)
 
-    def stop_encoder(self, wheel: str) -> "ShimRows":
-        return ({"kind": self._lib.ROBOT_FAULT_STUCK_ENCODER, "place": self._body.wiring.encoder_wheels.index(wheel)},)
+    def lose_counts(self, wheel: str, part: float) -> "ShimRows":
+        channel = self._body.wiring.encoder_wheels.index(wheel)
+        return ({"kind": self._lib.ROBOT_FAULT_LOST_COUNTS, "place": channel, "value": part},)
 
     def stop_motor(self, wheel: str) -> "ShimRows":
         channel = self._body.wiring.motors.wheel_of_channel.index(WHEEL_NAMES.index(wheel))

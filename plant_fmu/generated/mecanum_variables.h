@@ -6,9 +6,9 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{2628ad1a-009c-a6a6-10e8-3c719ed6129b}"
+#define MECANUM_GUID "{674ae03d-8593-bd4a-4231-3899d9217706}"
 #define MECANUM_WHEELS 4
-#define MECANUM_VARIABLE_COUNT 130
+#define MECANUM_VARIABLE_COUNT 151
 
 enum {
     MECANUM_CORIOLIS_RIGID = 1,
@@ -73,6 +73,7 @@ typedef struct {
     double wheel_inertia_kg_m2;
     double friction_coefficient;
     double viscous_n_m_s_rad;
+    double wheel_friction_factor[MECANUM_WHEELS];
     double slope_rad;
     double slope_direction_rad;
     int32_t contact;
@@ -89,6 +90,7 @@ typedef struct {
     double gear_ratio;
     double rotor_inertia_kg_m2;
     double motor_constant_n_m_a;
+    double wheel_torque_factor[MECANUM_WHEELS];
     double motor_resistance_ohm;
     double motor_inductance_h;
     double winding_heat_capacity_j_k;
@@ -98,9 +100,13 @@ typedef struct {
     double battery_voltage_v;
     double battery_resistance_ohm;
     int32_t counts_per_revolution;
+    double wheel_counts_factor[MECANUM_WHEELS];
+    double wheel_encoder_error_rad[MECANUM_WHEELS];
     double imu_rate_hz;
     double gyro_noise_rad_s;
     double gyro_scale;
+    double gyro_drift_rad_s2;
+    double gyro_walk_rad_s;
     double gyro_bias_x_rad_s;
     double gyro_bias_y_rad_s;
     double gyro_bias_z_rad_s;
@@ -108,6 +114,9 @@ typedef struct {
     double accelerometer_bias_x_m_s2;
     double accelerometer_bias_y_m_s2;
     double accelerometer_bias_z_m_s2;
+    double imu_roll_rad;
+    double imu_pitch_rad;
+    double imu_yaw_rad;
     int32_t seed;
     double start_x_m;
     double start_y_m;
@@ -201,56 +210,77 @@ typedef struct {
     X(77, REAL, PARAMETER, parameters.wheel_inertia_kg_m2, 0.005, 0.0, 100.0, "wheel_inertia_kg_m2") \
     X(78, REAL, TUNABLE, parameters.friction_coefficient, 0.0, 0.0, 2.0, "friction_coefficient") \
     X(79, REAL, TUNABLE, parameters.viscous_n_m_s_rad, 0.0, 0.0, 10.0, "viscous_n_m_s_rad") \
-    X(80, REAL, TUNABLE, parameters.slope_rad, 0.0, 0.0, 1.0, "slope_rad") \
-    X(81, REAL, TUNABLE, parameters.slope_direction_rad, 0.0, -INFINITY, INFINITY, "slope_direction_rad") \
-    X(82, ENUMERATION, PARAMETER, parameters.contact, 1.0, 1.0, 2.0, "contact") \
-    X(83, ENUMERATION, PARAMETER, parameters.rollers, 1.0, 1.0, 2.0, "rollers") \
-    X(84, ENUMERATION, PARAMETER, parameters.coriolis, 1.0, 1.0, 2.0, "coriolis") \
-    X(85, ENUMERATION, PARAMETER, parameters.drive, 1.0, 1.0, 3.0, "drive") \
-    X(86, REAL, TUNABLE, parameters.grip_coefficient, 0.7, 0.0, 5.0, "grip_coefficient") \
-    X(87, REAL, TUNABLE, parameters.wheel_grip_factor[0], 1.0, 0.0, 10.0, "wheel.fl.grip_factor") \
-    X(88, REAL, TUNABLE, parameters.wheel_grip_factor[1], 1.0, 0.0, 10.0, "wheel.fr.grip_factor") \
-    X(89, REAL, TUNABLE, parameters.wheel_grip_factor[2], 1.0, 0.0, 10.0, "wheel.rr.grip_factor") \
-    X(90, REAL, TUNABLE, parameters.wheel_grip_factor[3], 1.0, 0.0, 10.0, "wheel.rl.grip_factor") \
-    X(91, REAL, TUNABLE, parameters.wheel_lifted[0], 0.0, 0.0, 1.0, "wheel.fl.lifted") \
-    X(92, REAL, TUNABLE, parameters.wheel_lifted[1], 0.0, 0.0, 1.0, "wheel.fr.lifted") \
-    X(93, REAL, TUNABLE, parameters.wheel_lifted[2], 0.0, 0.0, 1.0, "wheel.rr.lifted") \
-    X(94, REAL, TUNABLE, parameters.wheel_lifted[3], 0.0, 0.0, 1.0, "wheel.rl.lifted") \
-    X(95, REAL, TUNABLE, parameters.sideways_loss, 0.0, -1.0, 0.9, "sideways_loss") \
-    X(96, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
-    X(97, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
-    X(98, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
-    X(99, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
-    X(100, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
-    X(101, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
-    X(102, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
-    X(103, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
-    X(104, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
-    X(105, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
-    X(106, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
-    X(107, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
-    X(108, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
-    X(109, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
-    X(110, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
-    X(111, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
-    X(112, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
-    X(113, REAL, TUNABLE, parameters.gyro_scale, 1.0, 0.0, 10.0, "gyro_scale") \
-    X(114, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
-    X(115, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
-    X(116, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
-    X(117, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
-    X(118, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
-    X(119, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
-    X(120, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
-    X(121, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
-    X(122, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
-    X(123, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
-    X(124, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
-    X(125, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
-    X(126, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
-    X(127, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
-    X(128, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
-    X(129, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
+    X(80, REAL, TUNABLE, parameters.wheel_friction_factor[0], 1.0, 0.0, 1000.0, "wheel.fl.friction_factor") \
+    X(81, REAL, TUNABLE, parameters.wheel_friction_factor[1], 1.0, 0.0, 1000.0, "wheel.fr.friction_factor") \
+    X(82, REAL, TUNABLE, parameters.wheel_friction_factor[2], 1.0, 0.0, 1000.0, "wheel.rr.friction_factor") \
+    X(83, REAL, TUNABLE, parameters.wheel_friction_factor[3], 1.0, 0.0, 1000.0, "wheel.rl.friction_factor") \
+    X(84, REAL, TUNABLE, parameters.slope_rad, 0.0, 0.0, 1.0, "slope_rad") \
+    X(85, REAL, TUNABLE, parameters.slope_direction_rad, 0.0, -INFINITY, INFINITY, "slope_direction_rad") \
+    X(86, ENUMERATION, PARAMETER, parameters.contact, 1.0, 1.0, 2.0, "contact") \
+    X(87, ENUMERATION, PARAMETER, parameters.rollers, 1.0, 1.0, 2.0, "rollers") \
+    X(88, ENUMERATION, PARAMETER, parameters.coriolis, 1.0, 1.0, 2.0, "coriolis") \
+    X(89, ENUMERATION, PARAMETER, parameters.drive, 1.0, 1.0, 3.0, "drive") \
+    X(90, REAL, TUNABLE, parameters.grip_coefficient, 0.7, 0.0, 5.0, "grip_coefficient") \
+    X(91, REAL, TUNABLE, parameters.wheel_grip_factor[0], 1.0, 0.0, 10.0, "wheel.fl.grip_factor") \
+    X(92, REAL, TUNABLE, parameters.wheel_grip_factor[1], 1.0, 0.0, 10.0, "wheel.fr.grip_factor") \
+    X(93, REAL, TUNABLE, parameters.wheel_grip_factor[2], 1.0, 0.0, 10.0, "wheel.rr.grip_factor") \
+    X(94, REAL, TUNABLE, parameters.wheel_grip_factor[3], 1.0, 0.0, 10.0, "wheel.rl.grip_factor") \
+    X(95, REAL, TUNABLE, parameters.wheel_lifted[0], 0.0, 0.0, 1.0, "wheel.fl.lifted") \
+    X(96, REAL, TUNABLE, parameters.wheel_lifted[1], 0.0, 0.0, 1.0, "wheel.fr.lifted") \
+    X(97, REAL, TUNABLE, parameters.wheel_lifted[2], 0.0, 0.0, 1.0, "wheel.rr.lifted") \
+    X(98, REAL, TUNABLE, parameters.wheel_lifted[3], 0.0, 0.0, 1.0, "wheel.rl.lifted") \
+    X(99, REAL, TUNABLE, parameters.sideways_loss, 0.0, -1.0, 0.9, "sideways_loss") \
+    X(100, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
+    X(101, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
+    X(102, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
+    X(103, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
+    X(104, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
+    X(105, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
+    X(106, REAL, TUNABLE, parameters.wheel_torque_factor[0], 1.0, 0.0, 10.0, "wheel.fl.torque_factor") \
+    X(107, REAL, TUNABLE, parameters.wheel_torque_factor[1], 1.0, 0.0, 10.0, "wheel.fr.torque_factor") \
+    X(108, REAL, TUNABLE, parameters.wheel_torque_factor[2], 1.0, 0.0, 10.0, "wheel.rr.torque_factor") \
+    X(109, REAL, TUNABLE, parameters.wheel_torque_factor[3], 1.0, 0.0, 10.0, "wheel.rl.torque_factor") \
+    X(110, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
+    X(111, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
+    X(112, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
+    X(113, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
+    X(114, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
+    X(115, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
+    X(116, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
+    X(117, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
+    X(118, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
+    X(119, REAL, PARAMETER, parameters.wheel_counts_factor[0], 1.0, 0.01, 10.0, "wheel.fl.counts_factor") \
+    X(120, REAL, PARAMETER, parameters.wheel_counts_factor[1], 1.0, 0.01, 10.0, "wheel.fr.counts_factor") \
+    X(121, REAL, PARAMETER, parameters.wheel_counts_factor[2], 1.0, 0.01, 10.0, "wheel.rr.counts_factor") \
+    X(122, REAL, PARAMETER, parameters.wheel_counts_factor[3], 1.0, 0.01, 10.0, "wheel.rl.counts_factor") \
+    X(123, REAL, PARAMETER, parameters.wheel_encoder_error_rad[0], 0.0, 0.0, 0.5, "wheel.fl.encoder_error_rad") \
+    X(124, REAL, PARAMETER, parameters.wheel_encoder_error_rad[1], 0.0, 0.0, 0.5, "wheel.fr.encoder_error_rad") \
+    X(125, REAL, PARAMETER, parameters.wheel_encoder_error_rad[2], 0.0, 0.0, 0.5, "wheel.rr.encoder_error_rad") \
+    X(126, REAL, PARAMETER, parameters.wheel_encoder_error_rad[3], 0.0, 0.0, 0.5, "wheel.rl.encoder_error_rad") \
+    X(127, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
+    X(128, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
+    X(129, REAL, TUNABLE, parameters.gyro_scale, 1.0, 0.0, 10.0, "gyro_scale") \
+    X(130, REAL, PARAMETER, parameters.gyro_drift_rad_s2, 0.0, -1.0, 1.0, "gyro_drift_rad_s2") \
+    X(131, REAL, PARAMETER, parameters.gyro_walk_rad_s, 0.0, 0.0, 10.0, "gyro_walk_rad_s") \
+    X(132, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
+    X(133, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
+    X(134, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
+    X(135, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
+    X(136, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
+    X(137, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
+    X(138, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
+    X(139, REAL, TUNABLE, parameters.imu_roll_rad, 0.0, -3.2, 3.2, "imu_roll_rad") \
+    X(140, REAL, TUNABLE, parameters.imu_pitch_rad, 0.0, -3.2, 3.2, "imu_pitch_rad") \
+    X(141, REAL, TUNABLE, parameters.imu_yaw_rad, 0.0, -3.2, 3.2, "imu_yaw_rad") \
+    X(142, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
+    X(143, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
+    X(144, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
+    X(145, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
+    X(146, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
+    X(147, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
+    X(148, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
+    X(149, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
+    X(150, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
 /* clang-format on */
 
 #endif

@@ -101,9 +101,9 @@ static bool stepped(plant_instance *plant, const workshop *w) {
     return true;
 }
 
-static void apply(const mecanum_inputs *inputs, mjData *data) {
+static void apply(const mecanum_parameters *p, const mecanum_inputs *inputs, mjData *data) {
     for (int wheel = 0; wheel < MECANUM_WHEELS; wheel++) {
-        data->ctrl[wheel] = inputs->wheel_torque_n_m[wheel];
+        data->ctrl[wheel] = p->wheel_torque_factor[wheel] * inputs->wheel_torque_n_m[wheel];
     }
     /* At the origin of the body frame: a free joint's forces are. */
     data->qfrc_applied[0] = inputs->push_force_x_n;
@@ -172,7 +172,7 @@ bool physics_start(plant_instance *plant) {
     mju_zero(w->data->qacc_warmstart, VELOCITIES);
     memset(state, 0, sizeof *state);
     mj_getState(w->model, w->data, state->x, STATE);
-    apply(&plant->now.inputs, w->data);
+    apply(p, &plant->now.inputs, w->data);
     mj_forward(w->model, w->data);
     state->heading_rad = p->start_heading_rad;
     turn(w->data, state);
@@ -180,7 +180,7 @@ bool physics_start(plant_instance *plant) {
     return true;
 }
 
-double physics_internal_steps(const plant_instance *plant, double step_s) {
+double physics_internal_steps(plant_instance *plant, double step_s) {
     return fmax(1.0, ceil(step_s / plant->now.parameters.longest_step_s - 1e-9));
 }
 
@@ -195,7 +195,7 @@ bool physics_advance(plant_instance *plant, double step_s, double internal_steps
     if (is_held(&plant->now.parameters)) {
         mju_zero(w->data->qvel, wheel_velocity(0));
     }
-    apply(&plant->now.inputs, w->data);
+    apply(&plant->now.parameters, &plant->now.inputs, w->data);
     for (long i = 0; i < (long)internal_steps; i++) {
         if (!stepped(plant, w)) {
             mj_resetData(w->model, w->data);

@@ -258,9 +258,10 @@ static void add_wheel(mjSpec *spec, mjsBody *chassis, const mecanum_parameters *
     axle->type = mjJNT_HINGE;
     axle->axis[0] = axle->axis[2] = 0.0;
     axle->axis[1] = 1.0; /* forward is positive */
-    axle->damping[0] = p->viscous_n_m_s_rad;
+    axle->damping[0] = p->viscous_n_m_s_rad * p->wheel_friction_factor[place];
     axle->frictionloss =
         p->friction_coefficient * p->mass_kg * GRAVITY_M_S2 * cos(p->slope_rad) * radius_m / MECANUM_WHEELS;
+    axle->frictionloss *= p->wheel_friction_factor[place];
 
     /* Ten times stiffer than usual: on a slope a robot that sticks creeps by less than 0.1 mm/s. */
     axle->solref_friction[0] = 0.005;

@@ -32,6 +32,7 @@ ROWS = {
     "estop": {"target": "command"},
     "reset": {"target": "robot"},
     "stuck_encoder": {"target": "fl"},
+    "lost_counts": {"target": "rl", "value": 0.1},
     "dead_motor": {"target": "rr"},
     "low_battery": {"value": 15.0},
     "gyro_bias": {"value": 0.5},

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from tests.support.plant_oracle import G
@@ -135,6 +136,62 @@ def test_a_gyro_whose_scale_is_wrong_reads_so_much_more_of_the_rate_alone(rate: 
     with robot(wrong, gyro_scale=1.01) as plant, robot(wrong) as right:
         difference = plant.read(IMU) - right.read(IMU)
     np.testing.assert_allclose(difference, [0.0, 0.0, 0.01 * rate, 0.0, 0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("angles", [(0.1, 0.0, 0.0), (0.0, -0.2, 0.0), (0.05, -0.03, 0.2), (3.0, -1.0, 2.0)])
+def test_sensors_that_are_mounted_askew_see_the_body_turned(angles: tuple[float, float, float]) -> None:
+    """SciPy's rotation by roll, pitch and yaw about the body's axes takes what they read back to the body's."""
+    moving = {"start_yaw_rate_rad_s": 0.7, "start_vx_m_s": 0.5, "gyro_bias_x_rad_s": 0.02, "slope_rad": 0.1}
+    mounted = dict(zip(("imu_roll_rad", "imu_pitch_rad", "imu_yaw_rad"), angles, strict=True))
+    with robot(moving) as plain, robot(moving | mounted) as plant:
+        for each in (plain, plant):
+            each.torque((0.5, 0.1, -0.2, 0.3))
+        bias = np.array([0.02, 0.0, 0.0])
+        turn = Rotation.from_euler("xyz", angles)
+        assert turn.apply(plant.read(GYRO) - bias) == pytest.approx(plain.read(GYRO) - bias, abs=1e-14)
+        assert turn.apply(plant.read(ACCELEROMETER)) == pytest.approx(plain.read(ACCELEROMETER), abs=1e-13)
+
+
+def test_a_gyro_that_warms_up_drifts_evenly() -> None:
+    with robot(gyro_drift_rad_s2=1e-3, gyro_bias_y_rad_s=0.2, start_yaw_rate_rad_s=0.5) as plant:
+        plant.step(0.25, 10)
+        assert plant.read(GYRO) == pytest.approx((2.5e-3, 0.2025, 0.5025), abs=1e-14)
+
+
+def test_the_bias_of_a_gyro_wanders_as_a_random_walk() -> None:
+    """At knots of 1/16 s, over 256 s: steps are normal, independent in time and between axes; so are sums of 64."""
+    sigma, n = 0.01, 4096
+    quick = {"longest_step_s": 0.01, "gyro_walk_rad_s": sigma}
+    walk = imu(quick, n + 1, 1 / 16)[:, :3]
+    assert not walk[0].any()
+    for together in (1, 64):
+        steps = np.diff(walk[::together], axis=0) / (sigma * math.sqrt(together / 16))
+        count = len(steps)
+        assert min(kstest(axis, "norm").pvalue for axis in steps.T) > 1e-5
+        assert np.abs(steps.std(axis=0) - 1).max() < 5 / math.sqrt(2 * count)
+        assert np.abs(np.corrcoef(steps.T) - np.eye(3)).max() < 5 / math.sqrt(count)
+        for lag in (1, 2, 3, 7):
+            assert np.abs(np.mean(steps[lag:] * steps[:-lag], axis=0)).max() < 5 / math.sqrt(count - lag)
+    coarse = imu(quick, 5, 8.0)[:, :3]  # another way through the same time
+    np.testing.assert_allclose(coarse, walk[: 4 * 128 + 1 : 128], rtol=1e-12)
+    assert not np.array_equal(imu({**quick, "seed": 2}, 2, 1.0), imu(quick, 2, 1.0))
+
+
+def test_an_encoder_counts_what_its_disc_shows() -> None:
+    """One whose disc is off its centre by 0.02 rad, one that misses 3 % of its counts; index pulses stay."""
+    start = {"wheel.fr.encoder_error_rad": 0.02, "wheel.rr.counts_factor": 0.97}
+    with robot(start, start_vx_m_s=0.5) as plant:
+        seen = []
+        for _ in range(60):
+            plant.step(0.03)
+            angles = plant.read(ANGLES)
+            shown = angles + np.array([0.0, 0.02, 0.0, 0.0]) * np.sin(angles)
+            expected = np.floor(shown * np.array([1.0, 1.0, 0.97, 1.0]) * (4096 / (2 * math.pi)))
+            np.testing.assert_array_equal(plant.read(COUNTS), expected)
+            np.testing.assert_array_equal(plant.read(INDEXES), np.floor(angles / (2 * math.pi)))
+            seen.append(plant.read(COUNTS))
+    off = np.array(seen)[:, 1] - np.array(seen)[:, 0]
+    assert (off.min(), off.max()) == pytest.approx((-13, 13), abs=1)  # 0.02 rad of 4096 counts
 
 
 @pytest.mark.parametrize("start", [{}, {"com_x_m": 0.1, "drive": VOLTAGE}, {"contact": SLIP}], ids=str)

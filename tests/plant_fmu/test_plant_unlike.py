@@ -5,7 +5,25 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from tests.support.plant_testbed import ANGLES, DEFAULTS, POSE, RIGID, SLIP, TWIST, O, X, robot, wheels
+from tests.support.plant_oracle import G
+from tests.support.plant_testbed import (
+    ANGLES,
+    AXLE_TORQUES,
+    CURRENT,
+    CURRENTS,
+    DEFAULTS,
+    POSE,
+    RIGID,
+    SLIP,
+    SPEEDS,
+    TORQUE,
+    TWIST,
+    VOLTAGE,
+    O,
+    X,
+    robot,
+    wheels,
+)
 
 R, L1, L2 = DEFAULTS["wheel_radius_m"], DEFAULTS["half_length_m"], DEFAULTS["half_width_m"]
 RADII = wheels("radius_factor")
@@ -78,3 +96,37 @@ def test_radii_and_loss_that_change_on_the_way_hold_from_then_on(contact: int) -
     signs = np.array([-1, 1, -1, 1])
     assert during == pytest.approx((0.5 + signs * 0.2 / 0.9) / (R * np.array([1, 1, 1.05, 1])), rel=0.03)
     assert after == pytest.approx((vx + signs * vy) / R, rel=0.03)
+
+
+@pytest.mark.parametrize("drive", [TORQUE, CURRENT])
+def test_a_stronger_motor_gives_more_torque_for_the_current_that_its_drive_sets(drive: int) -> None:
+    wanted, gain = np.array([0.5, -0.3, 0.2, 0.1]), np.array([1.0, 1.1, 0.8, 1.0])
+    constant = 2.0 * DEFAULTS["motor_constant_n_m_a"]
+    with robot(dict(zip(wheels("torque_factor"), gain, strict=True)), drive=drive, gear_ratio=2.0) as plant:
+        plant.torque(wanted)
+        assert plant.read(CURRENTS) == pytest.approx(wanted / constant)
+        assert plant.read(AXLE_TORQUES) == pytest.approx(gain * wanted)
+
+
+def test_the_back_emf_of_a_stronger_motor_is_larger_too() -> None:
+    """On blocks, with a duty of a half, a wheel without friction ends at d U / constant."""
+    blocks = dict.fromkeys(wheels("lifted"), 1.0)
+    with robot(blocks, drive=VOLTAGE, battery_resistance_ohm=0.0, **{"wheel.rr.torque_factor": 1.1}) as plant:
+        plant.duty([0.5] * 4)
+        plant.step(1e-3, 2000)
+        ends = 0.5 * DEFAULTS["battery_voltage_v"] / (DEFAULTS["motor_constant_n_m_a"] * np.array([1, 1, 1.1, 1]))
+        assert plant.read(SPEEDS) == pytest.approx(ends, rel=1e-6)
+
+
+@CONTACTS
+def test_a_wheel_whose_bearing_is_tight_sticks_up_to_its_own_friction(contact: int) -> None:
+    mu, factor = 0.02, np.array([1.0, 1.0, 3.0, 0.0])
+    limit = mu * factor * DEFAULTS["mass_kg"] * G / 4 * R
+    blocks = dict.fromkeys(wheels("lifted"), 1.0) | dict(zip(wheels("friction_factor"), factor, strict=True))
+    with robot(blocks, contact=contact, friction_coefficient=mu) as plant:
+        plant.torque(0.99 * limit)
+        plant.step(1e-3, 50)
+        assert not plant.read(SPEEDS).any()
+        plant.torque(limit + np.array([0.01, -3 * limit[0], 0.01, 0.01]))
+        plant.step(1e-3, 100)
+        assert plant.read(SPEEDS) == pytest.approx(np.array([1, -100 * limit[0], 1, 1]) * 1e-3 / 0.005, rel=1e-6)

@@ -76,6 +76,19 @@ def test_a_gyro_bias_is_in_exactly_the_ticks_of_its_window(begin) -> None:
     assert bridge.faults.applied() == [20]
 
 
+@pytest.mark.parametrize("torque", [1.5, -1.5])
+def test_an_encoder_loses_a_part_of_its_counts_in_the_window_and_misses_them_for_good(torque: float) -> None:
+    bridge = Bridge(row("lost_counts", "rr", end=80, value=0.25))
+    true, seen = ([each["count"] for each in b.run(100, [torque] * 4)] for b in (Bridge(), bridge))
+    missed = (np.array(true) - seen).astype(np.int16)
+    turned = np.diff(np.array(true, np.uint16)[:, 2], prepend=np.uint16(0)).astype(np.int16).cumsum()
+    assert not np.delete(missed, 2, axis=1).any()
+    expected = np.trunc(0.25 * (np.clip(turned, *sorted((turned[19], turned[79]))) - turned[19]))
+    np.testing.assert_array_equal(missed[:, 2], expected)
+    assert abs(missed[-1, 2]) > 10
+    assert bridge.faults.applied() == [np.count_nonzero(np.diff(turned[19:80]))]
+
+
 def test_a_stuck_encoder_loses_its_counts_for_good() -> None:
     bridge = Bridge(row("stuck_encoder", "rr"))
     sensed, clean = bridge.run(60), Bridge().run(60)

@@ -38,6 +38,8 @@ def robots(*, contact: int = RIGID, drive: int = TORQUE, **fixed: Any) -> st.Sea
         "grip_coefficient": _between(0.5, 0.9),
         "roller_friction_coefficient": _between(0, 0.02),
         **dict.fromkeys(wheels("radius_factor"), _between(0.9, 1.1)),
+        **dict.fromkeys(wheels("torque_factor"), _between(0.8, 1.2)),
+        **dict.fromkeys(wheels("friction_factor"), _between(0.0, 3.0)),
         "sideways_loss": _between(-0.1, 0.1),
         **dict(zip(START, [*[_between(-2, 2)] * 3, *[_between(-0.5, 0.5)] * 3], strict=True)),
     }

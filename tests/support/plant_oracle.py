@@ -51,7 +51,9 @@ class Oracle:
         # Four equally stiff wheels under a rigid body: their loads lie on a plane, so that the diagonals balance.
         x, y = self.stands.real, self.stands.imag
         self.sharing = np.linalg.inv([np.ones(4), x, y, [1, -1, 1, -1]])
-        self.axle_constant = p["gear_ratio"] * p["motor_constant_n_m_a"]
+        self.gain = np.array([p[name] for name in wheels("torque_factor")])
+        self.axle_constant = p["gear_ratio"] * p["motor_constant_n_m_a"] * self.gain
+        self.viscous = p["viscous_n_m_s_rad"] * np.array([p[name] for name in wheels("friction_factor")])
 
     def start(self) -> np.ndarray:
         """Return the state at the start: the wheels roll, no roller is bent, no current flows."""
@@ -86,7 +88,7 @@ class Oracle:
         """Return the time derivative of the state."""
         p, e = self.p, np.exp(1j * state[2])
         speed, deflection, current = state[7:14], state[14:18], state[18:22]
-        torque, current_rate = np.array(inputs.drive), np.zeros(4)
+        torque, current_rate = self.gain * inputs.drive, np.zeros(4)
         if p["drive"] == VOLTAGE:
             duty = np.array(inputs.drive)
             battery_v = p["battery_voltage_v"] - p["battery_resistance_ohm"] * duty @ current
@@ -97,7 +99,7 @@ class Oracle:
         push = inputs.push[0] + 1j * inputs.push[1]
         on_body = self.fall_n + push
         moment = inputs.push[2] + _cross(-e * self.com, push)
-        generalized = np.array([on_body.real, on_body.imag, moment, *(torque - p["viscous_n_m_s_rad"] * speed[3:])])
+        generalized = np.array([on_body.real, on_body.imag, moment, *(torque - self.viscous * speed[3:])])
         if p["contact"] == SLIP:
             acceleration, deflection_rate = self._slip(e, speed, deflection, generalized)
         else:

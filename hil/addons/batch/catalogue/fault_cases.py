@@ -97,6 +97,7 @@ CASES: tuple[Case, ...] = (
     _case("reset", "robot", _REARMS, cause="it was reset", window={"start_s": 0.25}, realtime=True,
           rules=("R-RESET-2", "R-ARM-4")),
     _case("stuck_encoder", "fl", _ENDS, cause="ENCODER_STUCK", window=_LATER, rules=("R-FAULT-7", "R-STATE-10")),
+    _case("lost_counts", "rl", _GOES_ON, window=_LONG, value=0.1),
     _case("dead_motor", "rr", _GOES_ON, window=_LONG, rules=("R-FAULT-11",), realtime=True),
     _case("low_battery", "battery", _GOES_ON, window=_LONG, value=15.0),
     _case("gyro_bias", "gyro", _GOES_ON, window=_LONG, value=0.5),
