@@ -28,6 +28,7 @@ def check(
     from hil.runtime.assembly import check_scenario
     from hil.runtime.robots import check_plant
     from hil.scenario.baseline import without_baselines
+    from hil.scenario.encoders import coarse
     from hil.scenario.unreached import beyond_the_end, without_effect
 
     found, lines, feasible = [], [], True
@@ -40,13 +41,15 @@ def check(
             [f"{resolved.provenance[key]}: {key}: {words}" for key, words in rows_of(resolved)]
             for rows_of in (beyond_the_end, without_effect)
         )
+        rough = list(coarse(resolved))
         feasible &= not feasibility.sentences and not late
         baseline = baseline_words(resolved)
         reference = {"kind": resolved.reference.kind, **feasibility.figures()}
         one = {"scenario": resolved.name, "reference": reference, "baseline": baseline}
-        found.append(one | {"beyond_the_end": late, "without_effect": unread})
+        found.append(one | {"beyond_the_end": late, "without_effect": unread, "encoder": rough})
         lines += [name] if len(names) > 1 else []
         told = [("after the end", sentence) for sentence in late] + [("no effect", sentence) for sentence in unread]
+        told += [("encoder", sentence) for sentence in rough]
         lines += rows([*_rows(feasibility), *told, ("baseline", baseline)])
     print_result(as_json, found[0] if len(names) == 1 else {"scenarios": found}, lines)
     raise typer.Exit(0 if feasible else 1)

@@ -24,7 +24,7 @@ from hil.scenario.layers import Given, Tree
 from hil.scenario.scenario import Scenario, values
 from hil.scenario.tables import Tables
 from hil.scenario.toml_text import key_lines, parse, parse_value
-from hil.scenario.validation import check, derived
+from hil.scenario.validation import check, derived, following
 from hil.scenario.values import is_path
 
 BASE = "circle_speed"
@@ -119,6 +119,7 @@ class Sources(NamedTuple):
         for key, value in _assignments(set):
             tree = layers.assign(tree, key, value, _SET)
         tree = layers.merge(derived(tree), _rebase(tree, folder or Path.cwd(), directory, only=_SET))
+        tree = layers.merge(tree, following(tree, _our_files()))
         tables = check(tree, f"scenario {self.file.display}", directory)
         where = {layers.dotted(path): given.where for path, given in layers.leaves(tree)}
         return Scenario(
@@ -147,7 +148,7 @@ def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str,
     Both arguments go by dotted key, ``sources`` as the provenance of a Scenario. Each value is a text, with where it is
     ``from``. Faults and expectations are left out, and of a scenario that extends no shipped one all files are.
     """
-    ours = {f"{name}{_SUFFIX}" for name in shipped_scenarios()}
+    ours = _our_files()
     of_file = {key: where.rpartition(":")[0] for key, where in sources.items()}
     extends = any(file in ours for file in of_file.values())
     return {
@@ -157,6 +158,10 @@ def given(values: Mapping[str, object], sources: Mapping[str, str]) -> dict[str,
         and not key.startswith(("expect.", "fault."))
         and (where.startswith("--") or (extends and of_file[key].endswith(_SUFFIX) and of_file[key] not in ours))
     }
+
+
+def _our_files() -> set[str]:
+    return {f"{name}{_SUFFIX}" for name in shipped_scenarios()}
 
 
 def from_values(name: str, given: Mapping[str, object], sources: Mapping[str, str]) -> Scenario:

@@ -15,6 +15,7 @@ from hil.core.motion_limits import SLIP_M_S, TorqueSpeed
 from hil.core.options import OTHERS, OptionsError, Problem, Range
 from hil.core.types import WHEEL_NAMES, CommandMode
 from hil.core.wheel_map import IMU_AXES
+from hil.core.wheel_speed import BANDWIDTH_RAD_S
 from hil.estimation.estimators import EstimatorOptions
 from hil.robot.driver_registry import EXTENSIONS as DRIVERS
 from hil.robot.driver_registry import OUR_DRIVER, make_settings
@@ -97,9 +98,11 @@ class FirmwareTable:
         float, Range(ge=0, le=200), "winding temperature that is a fault; from 15 K below it all four wheels are scaled"
     ] = 120.0
     undervoltage_v: Annotated[float, Range(ge=0, le=200), "a battery voltage below this is a fault; 0 for never"] = 0.0
-    tracking_bandwidth_rad_s: Annotated[float, Range(ge=1, le=500), "of the filter that estimates speed"] = 150.0
-    speed_kp_n_m_s_rad: Annotated[float, Range(ge=0, le=100), "speed loop, proportional"] = 1.1
-    speed_ki_n_m_rad: Annotated[float, Range(ge=0, le=10000), "speed loop, integral"] = 12.0
+    tracking_bandwidth_rad_s: Annotated[
+        float, Range(ge=1, le=500), "of the filter that estimates speed; less below 1024 counts"
+    ] = BANDWIDTH_RAD_S
+    speed_kp_n_m_s_rad: Annotated[float, Range(ge=0, le=100), "speed loop, proportional; less below 1024 counts"] = 1.1
+    speed_ki_n_m_rad: Annotated[float, Range(ge=0, le=10000), "speed loop, integral; less below 1024 counts"] = 12.0
     watchdog_s: Annotated[
         Milliseconds, Range(ge=0.02, le=0.1), "silence that stops the wheels; by default 5 command periods"
     ] = 0.1

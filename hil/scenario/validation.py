@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path as FilePath
 from typing import Any, cast
@@ -11,17 +11,20 @@ from hil.core.errors import SEE_SIGNALS, BadInputError, near, nearest
 from hil.core.model import RobotModel
 from hil.core.options import ABSENT, OptionsError, Problem, Range, build, in_another_unit, options_of, plausible
 from hil.core.signals import INDEX, unit_of
+from hil.core.wheel_speed import slower
 from hil.references import make_reference
 from hil.scenario import layers
 from hil.scenario.laws import make_laws
 from hil.scenario.layers import Given, Node, Path, Tree, leaves
 from hil.scenario.plant import SHIPPED_FMUS
 from hil.scenario.scenario import values
-from hil.scenario.tables import RATES_HZ, Tables
+from hil.scenario.tables import RATES_HZ, FirmwareTable, Tables
 from hil.scenario.trial import REALTIME_ALLOW, span_s
 
 WATCHDOG_PERIODS = 5
 _WATCHDOG_RULE = f"default: {WATCHDOG_PERIODS} command periods, within 0.02 to 0.1 s"
+_FOLLOWING = {"tracking_bandwidth_rad_s": 1, "speed_kp_n_m_s_rad": 1, "speed_ki_n_m_rad": 2}
+"""Powers of ``slower`` by which keys of [firmware] follow the encoder."""
 _ALLOW_RULE = "default in real time"
 _SHADOWS = (("controller", "shadow"), ("controller", "shadow_gains"))
 _SHADOWS_GONE = "; `hil replay RUN --law LAW` computes another law over a recorded run"
@@ -37,6 +40,32 @@ def derived(tree: Tree) -> Tree:
     if isinstance(mode, Given) and mode.value == "realtime" and isinstance(tree.get("allow", {}), dict):
         found["allow"] = {name: Given(limit, _ALLOW_RULE) for name, limit in REALTIME_ALLOW.items()}
     return found
+
+
+def following(tree: Tree, shipped: Container[str]) -> Tree:
+    """Return filter and gains of [firmware] as a coarse encoder needs them, where no user gave them.
+
+    Those of a ``shipped`` scenario, by its file, are for the encoder of that file.
+    """
+    firmware = tree.get("firmware")
+    counts = firmware.get("counts_per_revolution") if isinstance(firmware, dict) else None
+    if not (isinstance(firmware, dict) and isinstance(counts, Given) and isinstance(counts.value, int)):
+        return {}
+    if counts.value < 1:
+        return {}
+    factor, file, found = slower(counts.value), _file_of(counts), Tree()
+    for key, power in _FOLLOWING.items() if factor < 1.0 else ():
+        given = firmware.get(key, Given(options_of(FirmwareTable)[key].default, "default"))
+        if not (isinstance(given, Given) and isinstance(given.value, float | int)):
+            continue  # refused by ``check``
+        if given.where == "default" or (_file_of(given) in shipped and _file_of(given) != file):
+            value = float(f"{given.value * factor**power:.4g}")
+            found[key] = Given(value, f"{given.where}, for {counts.value} counts a turn")
+    return {"firmware": found}
+
+
+def _file_of(given: Given) -> str:
+    return given.where.rpartition(":")[0]
 
 
 def check(tree: Tree, scenario: str, directory: FilePath) -> Tables:

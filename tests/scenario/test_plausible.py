@@ -123,7 +123,11 @@ WITHOUT_EFFECT = {
     "estimator.filter.start_sigma_m=0.5": {"estimator.source": "fused"},
     "estimator.simulated_fix.sigma_m=0.5": {"estimator.source": "fused"},
     "estimator.slip_threshold_m_s=1e-4": {"estimator.source": "fused", "plant.start.gyro_noise_rad_s": 0.5},
-    "limiter.slip_m_s=1e-4": {"controller.command": "torque", "plant.start.contact": "slip"},
+    "limiter.slip_m_s=1e-4": {
+        "controller.command": "torque",
+        "plant.start.contact": "slip",
+        "plant.start.grip_coefficient": 0.1,
+    },
     "plant.start.grip_coefficient=0.01": {"plant.start.contact": "slip"},
     "plant.start.wheel.fl.grip_factor=0.01": {"plant.start.contact": "slip"},
     "plant.start.roller_friction_coefficient=0.5": {"plant.start.contact": "slip"},

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from hil.core.errors import BadInputError, nearest
 from hil.core.model import GRAVITY_M_S2
 from hil.core.options import Option, OptionsError, build, options_of
+from hil.core.wheel_speed import slower
 from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
 from hil.robot.driver import Found
 from hil.robot.driver_registry import OUR_DRIVER, dialect, driver_names
@@ -194,9 +195,10 @@ def robot_text(answers: Answers, driver: str | None = None, found: Found | None 
 
     ``driver`` and ``found`` describe motor controllers from a probe; the file then marks what was not measured.
     """
-    speed_kp = min(100.0, _rounded(_LOOP_RAD_S * _inertia_at_a_wheel(answers)))
+    factor = slower(int(answers["firmware.counts_per_revolution"]))
+    speed_kp = min(100.0, _rounded(factor * _LOOP_RAD_S * _inertia_at_a_wheel(answers)))
     motors = _settings(driver or str(answers.get("device.driver", OUR_DRIVER)))
-    gains = {"kp_n_m_s_rad": speed_kp, "ki_n_m_rad": _rounded(_INTEGRAL_1_S * speed_kp)}
+    gains = {"kp_n_m_s_rad": speed_kp, "ki_n_m_rad": _rounded(factor * _INTEGRAL_1_S * speed_kp)}
     more: dict[str, Value | list[str]] = {
         "firmware.torque_limit_n_m": answers["robot.torque_limit_n_m"],
         # A driver that closes the loops itself has the gains among its settings.
