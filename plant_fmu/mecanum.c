@@ -184,6 +184,7 @@ void mecanum_derivative(const mecanum_model *model, const mecanum_inputs *u, con
                                u->push_force_y_n * rate[MECANUM_Y_M] +
                                u->push_moment_n_m * x[MECANUM_YAW_RATE_RAD_S];
     rate[MECANUM_LOST_J] = lost_w;
+    rate[MECANUM_CHARGE_C] = drive.battery_a;
 }
 
 /* One step of the classical Runge-Kutta method of fourth order. */

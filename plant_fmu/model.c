@@ -12,6 +12,7 @@ static void place_wheels(mecanum_model *model, const mecanum_parameters *p) {
     const double slant = at_45 ? 1.0 : 1.0 / (1.0 - p->sideways_loss);
     model->roller_cosine = at_45 ? ROOT_HALF : sqrt(1.0 / (1.0 + slant * slant));
     model->is_uneven = slant != 1.0;
+    model->any_hangs = false;
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         const double x = FRONT[i] * p->half_length_m;
         const double y = LEFT[i] * p->half_width_m;
@@ -20,6 +21,8 @@ static void place_wheels(mecanum_model *model, const mecanum_parameters *p) {
         model->wheel_x_m[i] = x;
         model->wheel_y_m[i] = y;
         model->radius_m[i] = r;
+        model->hangs[i] = p->wheel_lifted[i] >= 0.5 && p->blocks < 0.5;
+        model->any_hangs = model->any_hangs || model->hangs[i];
         model->roller_slant[i] = s;
         model->is_uneven = model->is_uneven || p->wheel_radius_factor[i] != 1.0;
         /* The contact does not move along the roller's axis (1, s): r omega = u - y W + s (w + x W). */
@@ -40,12 +43,20 @@ void mecanum_share_load(const mecanum_model *model, double pitch_n_m, double rol
      */
     const double least = fmax(-load_n[0], -load_n[2]);
     const double most = fmin(load_n[1], load_n[3]);
-    const double shift_n = fmax(fmin(most, 0.0), least);
+    double shift_n = fmax(fmin(most, 0.0), least);
+    const bool on_one = (model->hangs[0] || model->hangs[2]) != (model->hangs[1] || model->hangs[3]);
+    for (int i = 0; on_one && i < MECANUM_WHEELS; i++) {
+        if (model->hangs[i]) {
+            shift_n = i % 2 == 0 ? -load_n[i] : load_n[i];
+        }
+    }
     for (int i = 0; i < MECANUM_WHEELS; i++) {
         load_n[i] = fmax(0.0, load_n[i] + (i % 2 == 0 ? shift_n : -shift_n));
+        load_n[i] = model->hangs[i] ? 0.0 : load_n[i];
         sum_n += load_n[i];
     }
-    for (int i = 0; least > most && i < MECANUM_WHEELS; i++) {
+    const bool falls = least > most || model->any_hangs; /* onto the wheels that are left */
+    for (int i = 0; falls && sum_n > 0.0 && i < MECANUM_WHEELS; i++) {
         load_n[i] *= whole_n / sum_n;
     }
 }

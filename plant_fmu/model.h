@@ -33,6 +33,8 @@ struct mecanum_model {
     double rolling[MECANUM_WHEELS][3];   /* wheel speed of a wheel that does not slip = this row x body twist;
                                             0 for a lifted one */
     bool lifted[MECANUM_WHEELS];         /* off the ground, a block in its place */
+    bool hangs[MECANUM_WHEELS];          /* the same without a block: the other wheels carry its load */
+    bool any_hangs;
     bool any_lifted;
     bool is_uneven; /* the wheels' radii differ from the nominal one, or the rollers' angle from 45 degrees */
     bool is_held;   /* all are lifted: the body stands on blocks */

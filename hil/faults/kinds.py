@@ -61,6 +61,9 @@ class FaultyRobot(Protocol):
     def set(self, variable: str, value: float) -> ShimRows:
         """Give a variable of the FMU this value."""
 
+    def load(self, row: FaultRow) -> ShimRows:
+        """Put the row's payload on the robot."""
+
     def scale_grip(self, row: FaultRow) -> ShimRows:
         """Multiply the grip of wheels, everywhere or inside the row's circle."""
 
@@ -355,6 +358,19 @@ KINDS: tuple[Kind, ...] = (
          "ticks of 1 ms", {"target": "force_y_n", "start_s": 3.0, "end_s": 3.2, "value": 40.0},
          Quantity("value", "N or N·m", "force or moment", -1e6, 1e6),
          on_robot=lambda robot, row: robot.set(f"push.{row.target}", row.value)),
+    Kind("payload", "plant", ("robot",), "`robot`, the default",
+         "A mass lies on the robot, at a point of the body frame (ahead of its centre, to the left of it) and as high "
+         "as its centre of mass. It changes mass_kg, inertia_kg_m2, com_x_m and com_y_m of the FMU. A second row, "
+         "whose window follows, has moved it.", "ticks of 1 ms",
+         {"start_s": 2.0, "end_s": 4.0, "value": 5.0, "x_m": 0.1, "y_m": -0.05},
+         Quantity("value", "kg", "mass", 0.0, 10_000.0, excludes_low=True),
+         (Quantity("x_m", "m", "ahead of the robot's centre", -10.0, 10.0, 0.0),
+          Quantity("y_m", "m", "to the left of the robot's centre", -10.0, 10.0, 0.0)),
+         on_robot=lambda robot, row: robot.load(row)),
+    Kind("lifted_wheel", "plant", WHEEL_NAMES, _WHEEL_WORDS,
+         "The ground does not reach the wheel, and the others carry all. Needs an FMU with wheel.*.lifted and blocks.",
+         "ticks of 1 ms", {"target": "fr", "start_s": 2.0, "end_s": 2.5},
+         on_robot=lambda robot, row: (*robot.set(f"wheel.{row.target}.lifted", 1.0), *robot.set("blocks", 0.0))),
     Kind("slip_patch", "plant", ("floor",), "`floor`, the default",
          "The floor has less grip: everywhere or, if a circle is given, for each wheel whose centre is inside. Needs "
          'an FMU with wheel.*.grip_factor; the shipped one has it with contact = "slip".',

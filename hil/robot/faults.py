@@ -151,6 +151,16 @@ class RobotFaults:
         channel = self._body.wiring.motors.wheel_of_channel.index(WHEEL_NAMES.index(wheel))
         return ({"kind": self._lib.ROBOT_FAULT_DEAD_MOTOR, "place": channel},)
 
+    def load(self, row: FaultRow) -> "ShimRows":
+        names = ("mass_kg", "inertia_kg_m2", "com_x_m", "com_y_m")
+        mass, inertia, x, y = (self._find(name).start for name in names)
+        whole = mass + row.value
+        com_x, com_y = (mass * x + row.value * row.x_m) / whole, (mass * y + row.value * row.y_m) / whole
+        inertia += mass * ((x - com_x) ** 2 + (y - com_y) ** 2)
+        inertia += row.value * ((row.x_m - com_x) ** 2 + (row.y_m - com_y) ** 2)
+        for name, value in zip(names, (whole, inertia, com_x, com_y), strict=True):
+            yield from self.set(name, value)
+
     def scale_grip(self, row: FaultRow) -> "ShimRows":
         if self._body.has_rigid_contact:
             raise BadInputError('wheels with rigid contact never slip; add plant.start.contact = "slip"')

@@ -35,8 +35,12 @@ class FaultTable:
     name: Annotated[str | None, "by which an expectation names it, if there are several of a kind"] = None
     value: Annotated[float | None, "size of the fault, in the unit of its kind"] = None
     burst_frames: Annotated[float | None, "of burst_loss: mean length of a burst"] = None
-    x_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame"] = None
-    y_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame"] = None
+    x_m: Annotated[
+        float | None, "of slip_patch: centre of the circle, world frame; of payload: ahead of the robot's centre"
+    ] = None
+    y_m: Annotated[float | None, "of slip_patch: centre of the circle, world frame; of payload: to the left of it"] = (
+        None
+    )
     radius_m: Annotated[float | None, "of slip_patch: radius of the circle"] = None
 
     def __post_init__(self) -> None:

@@ -6,9 +6,9 @@
 #include <stdint.h>
 
 #define MECANUM_MODEL_NAME "mecanum"
-#define MECANUM_GUID "{674ae03d-8593-bd4a-4231-3899d9217706}"
+#define MECANUM_GUID "{5c570a1f-bb7e-d7c4-2117-3e4417d931a9}"
 #define MECANUM_WHEELS 4
-#define MECANUM_VARIABLE_COUNT 151
+#define MECANUM_VARIABLE_COUNT 153
 
 enum {
     MECANUM_CORIOLIS_RIGID = 1,
@@ -83,6 +83,7 @@ typedef struct {
     double grip_coefficient;
     double wheel_grip_factor[MECANUM_WHEELS];
     double wheel_lifted[MECANUM_WHEELS];
+    double blocks;
     double sideways_loss;
     double roller_friction_coefficient;
     double roller_stiffness_n_m;
@@ -98,6 +99,7 @@ typedef struct {
     double air_degc;
     double current_limit_a;
     double battery_voltage_v;
+    double battery_fall_v_c;
     double battery_resistance_ohm;
     int32_t counts_per_revolution;
     double wheel_counts_factor[MECANUM_WHEELS];
@@ -229,58 +231,60 @@ typedef struct {
     X(96, REAL, TUNABLE, parameters.wheel_lifted[1], 0.0, 0.0, 1.0, "wheel.fr.lifted") \
     X(97, REAL, TUNABLE, parameters.wheel_lifted[2], 0.0, 0.0, 1.0, "wheel.rr.lifted") \
     X(98, REAL, TUNABLE, parameters.wheel_lifted[3], 0.0, 0.0, 1.0, "wheel.rl.lifted") \
-    X(99, REAL, TUNABLE, parameters.sideways_loss, 0.0, -1.0, 0.9, "sideways_loss") \
-    X(100, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
-    X(101, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
-    X(102, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
-    X(103, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
-    X(104, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
-    X(105, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
-    X(106, REAL, TUNABLE, parameters.wheel_torque_factor[0], 1.0, 0.0, 10.0, "wheel.fl.torque_factor") \
-    X(107, REAL, TUNABLE, parameters.wheel_torque_factor[1], 1.0, 0.0, 10.0, "wheel.fr.torque_factor") \
-    X(108, REAL, TUNABLE, parameters.wheel_torque_factor[2], 1.0, 0.0, 10.0, "wheel.rr.torque_factor") \
-    X(109, REAL, TUNABLE, parameters.wheel_torque_factor[3], 1.0, 0.0, 10.0, "wheel.rl.torque_factor") \
-    X(110, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
-    X(111, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
-    X(112, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
-    X(113, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
-    X(114, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
-    X(115, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
-    X(116, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
-    X(117, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
-    X(118, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
-    X(119, REAL, PARAMETER, parameters.wheel_counts_factor[0], 1.0, 0.01, 10.0, "wheel.fl.counts_factor") \
-    X(120, REAL, PARAMETER, parameters.wheel_counts_factor[1], 1.0, 0.01, 10.0, "wheel.fr.counts_factor") \
-    X(121, REAL, PARAMETER, parameters.wheel_counts_factor[2], 1.0, 0.01, 10.0, "wheel.rr.counts_factor") \
-    X(122, REAL, PARAMETER, parameters.wheel_counts_factor[3], 1.0, 0.01, 10.0, "wheel.rl.counts_factor") \
-    X(123, REAL, PARAMETER, parameters.wheel_encoder_error_rad[0], 0.0, 0.0, 0.5, "wheel.fl.encoder_error_rad") \
-    X(124, REAL, PARAMETER, parameters.wheel_encoder_error_rad[1], 0.0, 0.0, 0.5, "wheel.fr.encoder_error_rad") \
-    X(125, REAL, PARAMETER, parameters.wheel_encoder_error_rad[2], 0.0, 0.0, 0.5, "wheel.rr.encoder_error_rad") \
-    X(126, REAL, PARAMETER, parameters.wheel_encoder_error_rad[3], 0.0, 0.0, 0.5, "wheel.rl.encoder_error_rad") \
-    X(127, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
-    X(128, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
-    X(129, REAL, TUNABLE, parameters.gyro_scale, 1.0, 0.0, 10.0, "gyro_scale") \
-    X(130, REAL, PARAMETER, parameters.gyro_drift_rad_s2, 0.0, -1.0, 1.0, "gyro_drift_rad_s2") \
-    X(131, REAL, PARAMETER, parameters.gyro_walk_rad_s, 0.0, 0.0, 10.0, "gyro_walk_rad_s") \
-    X(132, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
-    X(133, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
-    X(134, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
-    X(135, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
-    X(136, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
-    X(137, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
-    X(138, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
-    X(139, REAL, TUNABLE, parameters.imu_roll_rad, 0.0, -3.2, 3.2, "imu_roll_rad") \
-    X(140, REAL, TUNABLE, parameters.imu_pitch_rad, 0.0, -3.2, 3.2, "imu_pitch_rad") \
-    X(141, REAL, TUNABLE, parameters.imu_yaw_rad, 0.0, -3.2, 3.2, "imu_yaw_rad") \
-    X(142, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
-    X(143, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
-    X(144, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
-    X(145, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
-    X(146, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
-    X(147, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
-    X(148, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
-    X(149, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
-    X(150, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
+    X(99, REAL, TUNABLE, parameters.blocks, 1.0, 0.0, 1.0, "blocks") \
+    X(100, REAL, TUNABLE, parameters.sideways_loss, 0.0, -1.0, 0.9, "sideways_loss") \
+    X(101, REAL, TUNABLE, parameters.roller_friction_coefficient, 0.01, 0.0, 5.0, "roller_friction_coefficient") \
+    X(102, REAL, PARAMETER, parameters.roller_stiffness_n_m, 200000.0, 1000.0, 10000000.0, "roller_stiffness_n_m") \
+    X(103, REAL, PARAMETER, parameters.roller_damping_n_s_m, 500.0, 0.0, 100000.0, "roller_damping_n_s_m") \
+    X(104, REAL, PARAMETER, parameters.gear_ratio, 1.0, 0.01, 10000.0, "gear_ratio") \
+    X(105, REAL, PARAMETER, parameters.rotor_inertia_kg_m2, 0.0, 0.0, 1.0, "rotor_inertia_kg_m2") \
+    X(106, REAL, PARAMETER, parameters.motor_constant_n_m_a, 1.25, 1e-06, 10000.0, "motor_constant_n_m_a") \
+    X(107, REAL, TUNABLE, parameters.wheel_torque_factor[0], 1.0, 0.0, 10.0, "wheel.fl.torque_factor") \
+    X(108, REAL, TUNABLE, parameters.wheel_torque_factor[1], 1.0, 0.0, 10.0, "wheel.fr.torque_factor") \
+    X(109, REAL, TUNABLE, parameters.wheel_torque_factor[2], 1.0, 0.0, 10.0, "wheel.rr.torque_factor") \
+    X(110, REAL, TUNABLE, parameters.wheel_torque_factor[3], 1.0, 0.0, 10.0, "wheel.rl.torque_factor") \
+    X(111, REAL, PARAMETER, parameters.motor_resistance_ohm, 0.6, 0.0001, 10000.0, "motor_resistance_ohm") \
+    X(112, REAL, PARAMETER, parameters.motor_inductance_h, 0.0005, 1e-06, 10.0, "motor_inductance_h") \
+    X(113, REAL, PARAMETER, parameters.winding_heat_capacity_j_k, 100.0, 0.01, 1000000.0, "winding_heat_capacity_j_k") \
+    X(114, REAL, PARAMETER, parameters.winding_to_air_k_w, 3.0, 0.001, 10000.0, "winding_to_air_k_w") \
+    X(115, REAL, TUNABLE, parameters.air_degc, 25.0, -100.0, 200.0, "air_degc") \
+    X(116, REAL, TUNABLE, parameters.current_limit_a, 4.0, 0.001, 100000.0, "current_limit_a") \
+    X(117, REAL, TUNABLE, parameters.battery_voltage_v, 24.0, 0.0, 10000.0, "battery_voltage_v") \
+    X(118, REAL, TUNABLE, parameters.battery_fall_v_c, 0.0, 0.0, 1000000.0, "battery_fall_v_c") \
+    X(119, REAL, TUNABLE, parameters.battery_resistance_ohm, 0.05, 0.0, 1000.0, "battery_resistance_ohm") \
+    X(120, INTEGER, PARAMETER, parameters.counts_per_revolution, 4096.0, 1.0, 16777216.0, "counts_per_revolution") \
+    X(121, REAL, PARAMETER, parameters.wheel_counts_factor[0], 1.0, 0.01, 10.0, "wheel.fl.counts_factor") \
+    X(122, REAL, PARAMETER, parameters.wheel_counts_factor[1], 1.0, 0.01, 10.0, "wheel.fr.counts_factor") \
+    X(123, REAL, PARAMETER, parameters.wheel_counts_factor[2], 1.0, 0.01, 10.0, "wheel.rr.counts_factor") \
+    X(124, REAL, PARAMETER, parameters.wheel_counts_factor[3], 1.0, 0.01, 10.0, "wheel.rl.counts_factor") \
+    X(125, REAL, PARAMETER, parameters.wheel_encoder_error_rad[0], 0.0, 0.0, 0.5, "wheel.fl.encoder_error_rad") \
+    X(126, REAL, PARAMETER, parameters.wheel_encoder_error_rad[1], 0.0, 0.0, 0.5, "wheel.fr.encoder_error_rad") \
+    X(127, REAL, PARAMETER, parameters.wheel_encoder_error_rad[2], 0.0, 0.0, 0.5, "wheel.rr.encoder_error_rad") \
+    X(128, REAL, PARAMETER, parameters.wheel_encoder_error_rad[3], 0.0, 0.0, 0.5, "wheel.rl.encoder_error_rad") \
+    X(129, REAL, PARAMETER, parameters.imu_rate_hz, 1000.0, 1.0, 100000.0, "imu_rate_hz") \
+    X(130, REAL, TUNABLE, parameters.gyro_noise_rad_s, 0.0, 0.0, 100.0, "gyro_noise_rad_s") \
+    X(131, REAL, TUNABLE, parameters.gyro_scale, 1.0, 0.0, 10.0, "gyro_scale") \
+    X(132, REAL, PARAMETER, parameters.gyro_drift_rad_s2, 0.0, -1.0, 1.0, "gyro_drift_rad_s2") \
+    X(133, REAL, PARAMETER, parameters.gyro_walk_rad_s, 0.0, 0.0, 10.0, "gyro_walk_rad_s") \
+    X(134, REAL, TUNABLE, parameters.gyro_bias_x_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_x_rad_s") \
+    X(135, REAL, TUNABLE, parameters.gyro_bias_y_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_y_rad_s") \
+    X(136, REAL, TUNABLE, parameters.gyro_bias_z_rad_s, 0.0, -INFINITY, INFINITY, "gyro_bias_z_rad_s") \
+    X(137, REAL, TUNABLE, parameters.accelerometer_noise_m_s2, 0.0, 0.0, 1000.0, "accelerometer_noise_m_s2") \
+    X(138, REAL, TUNABLE, parameters.accelerometer_bias_x_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_x_m_s2") \
+    X(139, REAL, TUNABLE, parameters.accelerometer_bias_y_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_y_m_s2") \
+    X(140, REAL, TUNABLE, parameters.accelerometer_bias_z_m_s2, 0.0, -INFINITY, INFINITY, "accelerometer_bias_z_m_s2") \
+    X(141, REAL, TUNABLE, parameters.imu_roll_rad, 0.0, -3.2, 3.2, "imu_roll_rad") \
+    X(142, REAL, TUNABLE, parameters.imu_pitch_rad, 0.0, -3.2, 3.2, "imu_pitch_rad") \
+    X(143, REAL, TUNABLE, parameters.imu_yaw_rad, 0.0, -3.2, 3.2, "imu_yaw_rad") \
+    X(144, INTEGER, PARAMETER, parameters.seed, 1.0, -2147483648.0, 2147483647.0, "seed") \
+    X(145, REAL, PARAMETER, parameters.start_x_m, 0.0, -INFINITY, INFINITY, "start_x_m") \
+    X(146, REAL, PARAMETER, parameters.start_y_m, 0.0, -INFINITY, INFINITY, "start_y_m") \
+    X(147, REAL, PARAMETER, parameters.start_heading_rad, 0.0, -INFINITY, INFINITY, "start_heading_rad") \
+    X(148, REAL, PARAMETER, parameters.start_vx_m_s, 0.0, -INFINITY, INFINITY, "start_vx_m_s") \
+    X(149, REAL, PARAMETER, parameters.start_vy_m_s, 0.0, -INFINITY, INFINITY, "start_vy_m_s") \
+    X(150, REAL, PARAMETER, parameters.start_yaw_rate_rad_s, 0.0, -INFINITY, INFINITY, "start_yaw_rate_rad_s") \
+    X(151, REAL, PARAMETER, parameters.longest_step_s, 0.001, 1e-06, 0.01, "longest_step_s") \
+    X(152, REAL, INDEPENDENT, time_s, 0.0, -INFINITY, INFINITY, "time")
 /* clang-format on */
 
 #endif

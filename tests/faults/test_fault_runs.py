@@ -40,6 +40,8 @@ ROWS = {
     "parameter": {"target": "friction_coefficient", "value": 0.5},
     "push": {"target": "force_y_n", "value": 60.0},
     "slip_patch": {"value": 0.05},
+    "payload": {"value": 8.0, "x_m": 0.1},
+    "lifted_wheel": {"target": "fl"},
     "bias": {"target": "truth.x_m", "value": 0.05},
     "override": {"target": "wheel.fl.speed_command_rad_s", "value": 0.0},
 }

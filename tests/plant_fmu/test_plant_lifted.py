@@ -110,6 +110,37 @@ def test_with_one_wheel_lifted_the_other_three_drive_the_robot(
     assert speeds == pytest.approx(rolling, rel=1e-3, abs=1e-6)
 
 
+@CONTACTS
+@pytest.mark.parametrize("lifted", range(4))
+def test_without_a_block_the_other_three_wheels_carry_the_robot(contact: int, lifted: int) -> None:
+    """Three supports share a weight in one way only; the centre of mass is on their side of the diagonal."""
+    x, y = np.array([L1, L1, -L1, -L1]), np.array([L2, -L2, -L2, L2])
+    cx, cy = -0.2 * x[lifted], -0.1 * y[lifted]
+    down = [i for i in range(4) if i != lifted]
+    expected = np.zeros(4)
+    expected[down] = np.linalg.solve([np.ones(3), x[down], y[down]], M * G * np.array([1.0, cx, cy]))
+    start = {LIFTED[lifted]: 1.0, "blocks": 0.0, "com_x_m": cx, "com_y_m": cy, "com_height_m": 0.0}
+    with robot(start, contact=contact) as plant:
+        assert plant.read(LOADS) == pytest.approx(expected, rel=1e-9)
+        plant.set({"blocks": 1.0})
+        on_block = plant.read(LOADS)
+        plant.set({LIFTED[lifted]: 0.0})
+        assert on_block == pytest.approx(np.where(np.arange(4) == lifted, 0.0, plant.read(LOADS)))
+
+
+@pytest.mark.parametrize(
+    ("hang", "expected"),
+    [((0,), (0, 2, 0, 2)), ((1, 3), (2, 0, 2, 0)), ((0, 3), (0, 2, 2, 0)), ((0, 1, 2), (0, 0, 0, 4))],
+    ids=str,
+)
+def test_wheels_that_hang_leave_the_weight_to_those_that_stand(
+    hang: tuple[int, ...], expected: tuple[int, ...]
+) -> None:
+    """A symmetric robot rocks on a diagonal; on one side or a corner alone it falls, and that side carries it."""
+    with robot(dict.fromkeys((LIFTED[i] for i in hang), 1.0), blocks=0.0) as plant:
+        assert plant.read(LOADS) == pytest.approx(np.array(expected) * M * G / 4, abs=1e-9)
+
+
 @pytest.mark.parametrize("lifted", range(4))
 def test_with_slip_the_ground_gives_a_lifted_wheel_no_force(lifted: int) -> None:
     torque = np.array([0.3, 0.2, 0.25, 0.35])

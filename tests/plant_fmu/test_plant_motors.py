@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from tests.support.examples import share_of_examples
 from tests.support.plant_testbed import AXLE_TORQUES, CURRENT, CURRENTS, DEFAULTS, SPEEDS, VOLTAGE, robot
@@ -171,3 +172,36 @@ def test_the_drive_torque_shows_what_its_motors_would_draw() -> None:
         power = np.sum(RESISTANCE * currents**2 + CONSTANT * currents * speeds)
         assert plant["battery.voltage_v"] * plant["battery.current_a"] == pytest.approx(power, rel=1e-12)
         assert plant["battery.voltage_v"] == pytest.approx(SOURCE_V - BATTERY_OHM * plant["battery.current_a"])
+
+
+def test_a_battery_falls_with_the_charge_that_was_taken() -> None:
+    """Four motors stalled on the drive current: V (U - V) = Rb R sum i^2, dQ/dt = I, U = 24 V - f Q, by SciPy."""
+    fall, torque = 3.0, 2.5
+    start = {"drive": CURRENT, "friction_coefficient": 2.0, "battery_fall_v_c": fall}
+    power_w = 4 * RESISTANCE * (torque / CONSTANT) ** 2
+
+    def taken_a(_: float, charge_c: np.ndarray) -> np.ndarray:
+        source_v = SOURCE_V - fall * charge_c
+        return power_w / (0.5 * (source_v + np.sqrt(source_v**2 - 4 * BATTERY_OHM * power_w)))
+
+    instants = np.arange(1, 11) * 0.2
+    charge_c = solve_ivp(taken_a, (0, 2), [0.0], "DOP853", t_eval=instants, rtol=1e-11, atol=1e-12).y[0]
+    with robot(start) as plant:
+        plant.torque([torque] * 4)
+        seen = []
+        for _ in instants:
+            plant.step(1e-3, 200)
+            seen.append((plant["battery.voltage_v"], plant["battery.current_a"]))
+        assert not plant.read(SPEEDS).any()
+    current_a = taken_a(0.0, charge_c)
+    expected = np.column_stack([SOURCE_V - fall * charge_c - BATTERY_OHM * current_a, current_a])
+    np.testing.assert_allclose(seen, expected, rtol=1e-9)
+    assert seen[-1][0] < 0.95 * SOURCE_V
+
+
+def test_a_battery_that_was_emptied_has_no_voltage() -> None:
+    with robot(BLOCKED, battery_fall_v_c=1e3) as plant:
+        plant.duty([1.0] * 4)
+        plant.step(1e-3, 500)
+        assert plant["battery.voltage_v"] == pytest.approx(0.0, abs=1e-6)
+        np.testing.assert_allclose(plant.read(CURRENTS), 0.0, atol=1e-3)

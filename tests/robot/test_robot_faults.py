@@ -61,7 +61,7 @@ class Bridge:
 
 
 def row(kind: str, target: str, start: int = 20, end: int = 40, value=0.0, **more) -> FaultRow:
-    acts_on = "plant" if kind in ("parameter", "push", "slip_patch") else "device"
+    acts_on = "plant" if kind in ("parameter", "push", "payload", "lifted_wheel", "slip_patch") else "device"
     return FaultRow(kind, acts_on, target, start * MS, NEVER_NS if end is None else end * MS, value, **more)
 
 
@@ -168,6 +168,44 @@ def test_of_rows_for_one_variable_the_last_in_force_counts_and_all_ends_as_befor
     assert (v[10:17] > 0).all()
     assert (v[20:27] < 0).all()
     assert bridge.faults.applied() == [30, 10]
+
+
+def test_a_payload_changes_mass_inertia_and_centre_of_mass_in_its_window_and_moves_with_the_next() -> None:
+    """20 kg with their centre at (0.03, 0), and 5 kg first at one place, then at another: a sum of point masses."""
+    own = {"mass_kg": 20.0, "inertia_kg_m2": 0.6, "com_x_m": 0.03, "com_y_m": 0.0}
+    spots = [(0, 20, None), (20, 40, 0.2 - 0.1j), (40, 60, 0.1j), (60, 80, None)]
+    rows = [row("payload", "robot", a, b, 5.0, x_m=at.real, y_m=at.imag) for a, b, at in spots if at is not None]
+    bridge, plants = Bridge(*rows, start=own), []
+    torque = (0.4, 0.1, -0.2, 0.3)
+    for _, _, at in spots:
+        if at is None:
+            plants.append((20.0, 0.6, 0.03))
+        else:
+            com = (20.0 * 0.03 + 5.0 * at) / 25.0
+            plants.append((25.0, 0.6 + 20.0 * abs(0.03 - com) ** 2 + 5.0 * abs(at - com) ** 2, com))
+    with FmuPlant(archive.locate("mecanum", Path()), own) as by_hand:
+        hand = Bridge(plant=by_hand)
+        for mass, inertia, com in plants:
+            values = (mass, inertia, complex(com).real, complex(com).imag)
+            for name, value in zip(own, values, strict=True):
+                by_hand.set_variable(name, value)
+            assert bridge.run(20, torque)[-1]["pose"] == pytest.approx(hand.run(20, torque)[-1]["pose"], abs=1e-12)
+    assert bridge.faults.applied() == [20, 20]
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_a_wheel_that_lifts_drives_nothing_in_its_window(wheel: int) -> None:
+    """Its torque turns it alone, tau / J; the body goes by the other three, and afterwards as before."""
+    name = ("fl", "fr", "rr", "rl")[wheel]
+    bridge = Bridge(row("lifted_wheel", name), start=SLIP | {"roller_friction_coefficient": 0.0})
+    bridge.run(20, (0.2,) * 4)
+    before = bridge.plant.wheel_speeds()[wheel]
+    lifted = bridge.run(20, (0.2,) * 4)[-1]["speeds"]
+    assert lifted[wheel] - before == pytest.approx(0.2 / 0.005 * 0.02, rel=1e-3)
+    assert max(lifted[wheel - 1], lifted[wheel - 3]) < 0.5 * lifted[wheel]
+    assert bridge.faults.applied() == [20]
+    after = np.array(bridge.run(300, (0.2,) * 4)[-1]["speeds"])
+    assert np.ptp(after) < 0.02 * after.mean()
 
 
 def test_a_patch_acts_on_each_wheel_that_is_on_it() -> None:

@@ -35,6 +35,7 @@ def robots(*, contact: int = RIGID, drive: int = TORQUE, **fixed: Any) -> st.Sea
         "motor_resistance_ohm": _between(0.3, 1),
         "motor_inductance_h": _between(3e-4, 2e-3),
         "battery_resistance_ohm": _between(0, 0.1),
+        "battery_fall_v_c": _between(0, 5),
         "grip_coefficient": _between(0.5, 0.9),
         "roller_friction_coefficient": _between(0, 0.02),
         **dict.fromkeys(wheels("radius_factor"), _between(0.9, 1.1)),

@@ -28,7 +28,7 @@ class Inputs:
 class Oracle:
     """The drives torque and voltage, both contacts, without Coulomb friction, and currents below their limit.
 
-    The state: x, y, heading, wheel angles (7); their rates (7); deflections (4); currents (4).
+    The state: x, y, heading, wheel angles (7); their rates (7); deflections (4); currents (4); charge (1).
     """
 
     def __init__(self, parameters: Mapping[str, float]) -> None:
@@ -65,7 +65,7 @@ class Oracle:
         axis = e * self.rollers
         spin = _dot(axis, contact) / _dot(axis, e) / self.radius
         body = [com.real, com.imag, heading, *np.zeros(4)]
-        return np.array([*body, velocity.real, velocity.imag, yaw_rate, *spin, *np.zeros(8)])
+        return np.array([*body, velocity.real, velocity.imag, yaw_rate, *spin, *np.zeros(9)])
 
     def motion(self, state: np.ndarray) -> np.ndarray:
         """Return pose and twist of the robot's centre, world frame, and the wheel angles, as the plant tells them."""
@@ -87,11 +87,13 @@ class Oracle:
     def rate(self, state: np.ndarray, inputs: Inputs) -> np.ndarray:
         """Return the time derivative of the state."""
         p, e = self.p, np.exp(1j * state[2])
-        speed, deflection, current = state[7:14], state[14:18], state[18:22]
-        torque, current_rate = self.gain * inputs.drive, np.zeros(4)
+        speed, deflection, current, charge = state[7:14], state[14:18], state[18:22], state[22]
+        torque, current_rate, charge_rate = self.gain * inputs.drive, np.zeros(4), 0.0
         if p["drive"] == VOLTAGE:
             duty = np.array(inputs.drive)
-            battery_v = p["battery_voltage_v"] - p["battery_resistance_ohm"] * duty @ current
+            charge_rate = duty @ current
+            source_v = p["battery_voltage_v"] - p["battery_fall_v_c"] * charge
+            battery_v = source_v - p["battery_resistance_ohm"] * charge_rate
             winding_v = duty * battery_v - p["motor_resistance_ohm"] * current - self.axle_constant * speed[3:]
             torque, current_rate = self.axle_constant * current, winding_v / p["motor_inductance_h"]
         else:
@@ -104,7 +106,7 @@ class Oracle:
             acceleration, deflection_rate = self._slip(e, speed, deflection, generalized)
         else:
             acceleration, deflection_rate = self._rigid(e, speed, generalized), np.zeros(4)
-        return np.concatenate([speed, acceleration, deflection_rate, current_rate])
+        return np.concatenate([speed, acceleration, deflection_rate, current_rate, [charge_rate]])
 
     def _rigid(self, e: complex, speed: np.ndarray, generalized: np.ndarray) -> np.ndarray:
         """M a = Q + A^T lambda with A a + (dA/dt) speed = 0: no contact moves along its roller's axis."""

@@ -104,6 +104,8 @@ CASES: tuple[Case, ...] = (
     _case("slow_clock", "clock", _GOES_ON, window=_LONG, value=50_000.0),
     _case("parameter", "friction_coefficient", _GOES_ON, window=_LONG, value=0.5),
     _case("push", "force_y_n", _GOES_ON, window=_SHORT, value=60.0),
+    _case("payload", "robot", _GOES_ON, window=_LONG, value=8.0, x_m=0.1, y_m=-0.05),
+    _case("lifted_wheel", "fl", _GOES_ON, window=_LONG),
     _case("slip_patch", "floor", _GOES_ON, window=_LONG, value=0.05),
     _case("bias", "truth.x_m", _GOES_ON, window=_LONG, value=0.05),
     _case("override", "wheel.fl.speed_command_rad_s", _GOES_ON, window=_SHORT, value=3.0),
