@@ -163,26 +163,41 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+_LINE_EVERY_S = 10.0
+
+
 class RunsProgress:
-    """The progress of many runs on stderr, in one line that is overwritten: runs done and failed, rate, time left."""
+    """The progress of many runs on stderr: runs done and failed, rate, time left.
+
+    On a terminal it is one line that is overwritten. Elsewhere, as in a pipe or in the log of a CI, it is a line each
+    10 s.
+    """
 
     def __init__(self) -> None:
+        self._is_terminal = sys.stderr.isatty()
         self._first: tuple[int, float] | None = None  # runs done and time [s] at the first call
         self._trouble: str | None = None
         self._width = 0
+        self._shown_s = 0.0
 
     def __call__(self, done: int, total: int, trouble: str | None, failed: int | None = None) -> None:
         """Show how many runs are done and failed. A new ``trouble``, a sentence, stays on a line of its own."""
+        now_s = time.monotonic()
         if trouble not in (None, self._trouble):
-            print("\r", f"{trouble:<{self._width}}", sep="", file=sys.stderr)
+            print("\r" if self._is_terminal else "", f"{trouble:<{self._width}}", sep="", file=sys.stderr, flush=True)
         self._trouble = trouble
         line = f"{done} of {total} runs" + ("" if failed is None else f", {failed} failed")
-        done_before, began_s = self._first = self._first or (done, time.monotonic())
-        new, since_s = done - done_before, time.monotonic() - began_s
+        if self._first is None:
+            self._first, self._shown_s = (done, now_s), now_s
+        new, since_s = done - self._first[0], now_s - self._first[1]
         if new and since_s:
             line += f", {new / since_s:.3g} runs/s, {duration_words((total - done) * since_s / new)} left"
-        print("\r", f"{line:<{self._width}}", sep="", end="", file=sys.stderr, flush=True)
-        self._width = len(line)
+        if self._is_terminal:
+            print("\r", f"{line:<{self._width}}", sep="", end="", file=sys.stderr, flush=True)
+            self._width = len(line)
+        elif now_s - self._shown_s >= _LINE_EVERY_S:
+            print(line, file=sys.stderr, flush=True)
+            self._shown_s = now_s
 
     def end(self) -> None:
         """End the line, so that it stays."""
@@ -192,9 +207,9 @@ class RunsProgress:
 
 @contextlib.contextmanager
 def batch(*, as_json: bool) -> Iterator[RunsProgress | None]:
-    """End the runs in order on an interrupt. Yield what shows progress; None with ``--json`` or without a terminal."""
+    """End the runs in order on an interrupt. Yield what shows progress; None with ``--json``."""
     end_in_order()
-    progress = None if as_json or not sys.stderr.isatty() else RunsProgress()
+    progress = None if as_json else RunsProgress()
     try:
         yield progress
     except KeyboardInterrupt:

@@ -31,7 +31,7 @@ def test_many_runs_show_how_many_are_done_at_which_rate_and_how_long_the_others_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     terminal = terminal_of_40_columns(monkeypatch)
-    times = iter([100.0, 100.0, 104.0, 110.0])
+    times = iter([100.0, 104.0, 110.0])
     monkeypatch.setattr("hil.cli.output.time.monotonic", lambda: next(times))
     progress = output.RunsProgress()
     progress.end()
@@ -45,6 +45,25 @@ def test_many_runs_show_how_many_are_done_at_which_rate_and_how_long_the_others_
     assert second == "15 of 45 runs, 2 failed, 2.5 runs/s, 12 s left"
     assert f"\r{'a worker was killed':<{len(second)}}\n" in terminal.getvalue()
     assert third == f"{'25 of 45 runs, 3 failed, 2 runs/s, 10 s left':<{len(second)}}\n"
+
+
+def test_without_a_terminal_progress_is_a_line_each_ten_seconds_and_a_trouble_is_said_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pipe = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    times = iter([100.0, 104.0, 110.0, 111.0, 121.0])
+    monkeypatch.setattr("hil.cli.output.time.monotonic", lambda: next(times))
+    progress = output.RunsProgress()
+    for done in (0, 4, 10, 11):
+        progress(done, 40, None)
+    progress(20, 40, "a worker was killed", failed=1)
+    progress.end()
+    assert pipe.getvalue().splitlines() == [
+        "10 of 40 runs, 1 runs/s, 30 s left",
+        "a worker was killed",
+        "20 of 40 runs, 1 failed, 0.952 runs/s, 21 s left",
+    ]
 
 
 @pytest.mark.parametrize(

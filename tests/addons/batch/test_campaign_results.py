@@ -88,7 +88,7 @@ def folder(campaign: Campaign, rows: list[dict[str, Any]]) -> Path:
     folder = campaign.plan.file.folder
     with Store(folder) as store:
         store.append(rows[::-1])
-        store.begin(campaign.about)
+        store.begin(campaign.kept.about)
     (folder / RECORDINGS / f"{rows[3][KEY]}.rrd").touch()
     return folder
 
@@ -282,7 +282,7 @@ def test_without_runs_a_report_says_so_and_with_all_passed_it_passes(tmp_path: P
     for done, verdict, passed in ((0, "no run is done yet", False), (1, "1 of 1 runs passed", True)):
         with Store(tmp_path) as store:
             store.append([{"outcome": "passed", "reason": None, **campaign.row(run)} for run in campaign.runs[:done]])
-            store.begin(campaign.about)
+            store.begin(campaign.kept.about)
         results = campaign_page.results(Judged(tmp_path), page)
         assert (results.verdict, results.passed) == (verdict, passed)
         assert results.about[0] == f"{done} runs: {'1 passed' if done else 'none'} ({2 - done} of 2 are not done yet)"

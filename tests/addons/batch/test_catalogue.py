@@ -219,6 +219,7 @@ def test_a_worker_that_is_none_is_a_verdict_on_each_job_and_a_line_of_progress(
     monkeypatch.setattr("hil.addons.batch.pool.module_command", lambda *_: words)
     request = Request("circle_speed", [], ["memory"], ["push", "mute"], tmp_path)
     trials = alone(request)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     verdicts = run_trials(request, trials, 2, 60.0, RunsProgress())
     shown = capsys.readouterr().err.replace("\r", "\n").split("\n")
     counts = [line for line in shown if f" of {len(trials)} runs" in line]

@@ -28,6 +28,7 @@ from hil.addons.batch.comparison.random_cases import RandomCase, Tried, cases
 from hil.addons.batch.comparison.random_cases import results as results_of_cases
 from hil.addons.batch.job import ENDED, FAILED, LOST, PASSED, REFUSED, Job, Outcome
 from hil.cli.main import app
+from hil.cli.output import RunsProgress
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.references import make_reference
@@ -240,7 +241,8 @@ def test_the_command_compares_what_is_asked_and_else_both_torques_and_drives(mon
     )
     assert (few.torques_n_m, few.drives, few.estimators, few.contacts) == ([3.0], ["ideal"], ["odometry"], ["slip"])
     assert (few.seed, few.quick) == (4, True)
-    assert options == {"workers": 2, "limit_s": 9.0, "on_progress": None}
+    assert isinstance(options.pop("on_progress"), RunsProgress)
+    assert options == {"workers": 2, "limit_s": 9.0}
 
 
 def test_runs_of_a_comparison_have_the_workers_and_the_limit_that_are_asked_for(

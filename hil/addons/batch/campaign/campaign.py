@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.addons.batch.campaign.campaign_file import Point, load_plan, points
-from hil.addons.batch.columns import KEY, MACHINE
-from hil.addons.batch.job import Job, Outcome
+from hil.addons.batch.columns import KEY
+from hil.addons.batch.job import Job
+from hil.addons.batch.kept_runs import KeptRuns
 from hil.addons.batch.keys import key_of, make_job
 from hil.addons.batch.plan_file import found_from_anywhere
-from hil.addons.batch.pool import Listed, Runner, run_plan
-from hil.addons.batch.store import ROWS, Row, Store, check_folder, read_rows
+from hil.addons.batch.pool import Runner
+from hil.addons.batch.store import Row
 from hil.core.errors import BadInputError
 from hil.core.printable import command
 from hil.judge.expectations import check_figures
-from hil.runtime.provenance import versions
 from hil.runtime.robots import check_plant_start, needed_truth
 from hil.runtime.run_parts import RunParts
 from hil.scenario import Scenario, format_value, set_texts
@@ -85,33 +85,17 @@ class Campaign:
     def perform(
         self, folder: Path, workers: int | None = None, limit_s: float = 120.0, redo: Collection[str] = ()
     ) -> Iterator[Sequence[Row]]:
-        """Do the runs that are still to do, and yield their rows as they come, each when it is on the disk.
+        """Do the runs that are still to do, as ``KeptRuns.perform``. Raises as that does."""
 
-        The rows that the folder already has are yielded first; those with an outcome in ``redo`` are left out, and
-        their runs are done again. Raises BadInputError when the folder cannot be written to or belongs to another
-        campaign.
-        """
-        check_folder(folder, self.about)
-        with Store(folder) as store:
-            store.begin(self.about)
-            there, commit = self._done(folder, redo), versions().get("commit")
-            yield list(there.values())
-            how: dict[str, Any] = {"limit_s": limit_s, "record": self.plan.tables.record}
-            jobs = (
-                self.job(run, recording=store.without_recording(run.key), **how)
-                for run in self.runs
-                if run.key not in there
-            )
-            with contextlib.closing(run_plan(Listed(jobs), workers)) as done:
-                for outcomes in done:
-                    rows = [self._finished(outcome, store, commit) for outcome in outcomes]
-                    store.append(rows)
-                    yield rows
+        def job(key: str, recording: str) -> Job:
+            how = {"limit_s": limit_s, "record": self.plan.tables.record, "recording": recording}
+            return self.job(self._by_key[key], **how)
+
+        return self.kept.perform(folder, job, workers, redo)
 
     def left(self, folder: Path, redo: Collection[str] = ()) -> int:
         """Return how many runs ``perform`` would do in a folder, which need not exist. Raises BadInputError as it."""
-        check_folder(folder, self.about)
-        return len(self.runs) - (len(self._done(folder, redo)) if (folder / ROWS).exists() else 0)
+        return self.kept.left(folder, redo)
 
     def estimate_s(self, left: int, workers: int) -> tuple[float, float]:
         """Return the time of one run on one worker [s], and of all runs that are ``left`` [s].
@@ -127,24 +111,6 @@ class Campaign:
                 run_s = sum(runner.run(self.job(run)).wall_s for run in timed) / _TIMED
         return run_s, run_s * math.ceil(left / workers)
 
-    def _done(self, folder: Path, redo: Collection[str]) -> dict[str, Row]:
-        """Return the rows of this campaign's runs that are in a folder, by their keys, but for outcomes in ``redo``."""
-        rows = read_rows(folder)
-        return {key: row for key, row in rows.items() if key in self._by_key and row["outcome"] not in redo}
-
-    def _finished(self, outcome: Outcome, store: Store, commit: str | None) -> Row:
-        """Return the row of an outcome; remove the recording of an earlier attempt if this one has none."""
-        if outcome.recording is None:
-            store.without_recording(outcome.key)
-        return {
-            "outcome": outcome.status,
-            "reason": outcome.reason,
-            **outcome.figures,
-            **self.row(self._by_key[outcome.key]),
-            f"{MACHINE}wall_s": outcome.wall_s,
-            f"{MACHINE}commit": commit,
-        }
-
     def repeat(self, point: Point) -> list[str]:
         """Return the command that repeats a run from any folder, as words."""
         sets = {key: found_from_anywhere(key, value, self.plan.file.folder) for key, value in point.sets.items()}
@@ -157,10 +123,10 @@ class Campaign:
         return base.name if base.path is None else str(base.path)
 
     @cached_property
-    def about(self) -> dict[str, Any]:
-        """The description of the campaign that its report needs; ``plan`` has its runs."""
+    def kept(self) -> KeptRuns:
+        """The runs with the description of the campaign, for the folder that keeps their rows."""
         tables = self.plan.tables
-        return {
+        about = {
             "name": self.plan.file.file.stem,
             "scenario": tables.scenario,
             "laws": list(dict.fromkeys(run.point.law for run in self.runs)),
@@ -169,9 +135,8 @@ class Campaign:
             "samples": tables.samples or 1,
             "axes": {key: {"kind": axis.kind, "values": list(axis.values)} for key, axis in tables.axes.items()},
             "keep": tables.keep,
-            "runs": len(self.runs),
-            "plan": [self.row(run) | {"repeat": command(*self.repeat(run.point))} for run in self.runs],
         }
+        return KeptRuns(about, [self.row(run) | {"repeat": command(*self.repeat(run.point))} for run in self.runs])
 
 
 @contextlib.contextmanager
