@@ -24,11 +24,13 @@ from hil.addons.batch.comparison.comparison import (
     variations,
 )
 from hil.addons.batch.comparison.comparison_page import results
-from hil.addons.batch.comparison.random_cases import RandomCase, Tried, cases
-from hil.addons.batch.comparison.random_cases import results as results_of_cases
+from hil.addons.batch.comparison.random_cases import RandomCase, cases
+from hil.addons.batch.comparison.robust import Tried, verdict_of
+from hil.addons.batch.comparison.robust import results as results_of_cases
 from hil.addons.batch.job import ENDED, FAILED, LOST, PASSED, REFUSED, Job, Outcome
+from hil.addons.batch.keys import make_job
 from hil.cli.main import app
-from hil.cli.output import RunsProgress
+from hil.cli.output import RunsProgress, next_command
 from hil.core.errors import BadInputError
 from hil.core.types import CommandMode
 from hil.references import make_reference
@@ -277,9 +279,13 @@ def test_a_law_among_sets_or_in_the_place_of_the_scenario_is_refused() -> None:
 
 
 def tried(law: str, number: int, status: str, error_m: float | None = None, *, can_follow: bool = True) -> Tried:
-    figures = {} if error_m is None else {"error_m": error_m, "variation": 1.0, "needed": 1.0}
-    reason = None if status == PASSED else f"{status} so"
-    return Tried(entry(law), RandomCase(number, {}, can_follow), Outcome("", status, reason, figures), ("hil", law))
+    figures: dict[str, Any] = {}
+    if error_m is not None:
+        figures = {"error_m": error_m, "told_m": 0.0, "variation": 1.0, "needed": 1.0}
+        figures["verdict"] = verdict_of(figures)
+    row = {"outcome": status, "reason": None if status == PASSED else f"{status} so", **figures}
+    case = RandomCase(number, {}, can_follow, {"mass_factor": 1.5})
+    return Tried(entry(law), case, make_job(load("compare_circle")), ("hil", law), row)
 
 
 def test_a_table_of_random_cases_counts_verdicts_and_has_median_and_worst() -> None:
@@ -294,21 +300,25 @@ def test_a_table_of_random_cases_counts_verdicts_and_has_median_and_worst() -> N
             tried("one", 5, PASSED, math.nan, can_follow=False),
             tried("two", 0, LOST),
             tried("two", 1, REFUSED),
+            tried("two", 2, PASSED)._replace(row=None),
         ],
+        Path("out"),
     )
-    assert (page.title, page.verdict) == ("Laws in random cases of compare_circle, seed 9", "1 of 8 runs failed")
+    assert page.title == "Laws in random cases of compare_circle, seed 9"
+    assert page.verdict == "1 of 8 runs failed (1 of 9 are not done yet)"
     assert not page.passed
     (table,) = page.tables
     assert table.rows == [
-        ("law", "the wheels", "cases", "held", "over 3 mm", "limit cycle", "diverged", "stopped", "failed", "refused",
+        ("law", "the wheels", "cases", "held", "over bound", "limit cycle", "diverged", "stopped", "failed", "refused",
          "rms mm, median", "worst"),
         ("one", "can follow", "5", "2", "1", "0", "1", "1", "0", "0", "5.750", "200"),
         ("one", "cannot", "1", "0", "0", "0", "1", "0", "0", "0", "-", "-"),
         ("two", "can follow", "2", "0", "0", "0", "0", "0", "1", "1", "-", "-"),
     ]  # fmt: skip
     assert list(table.numbers) == list(range(2, 11))
-    assert page.about[::2] == [
-        "one, case 2, over 3 mm",
+    assert page.about[-2:] == ["each run is a line of out/cases.csv", next_command("hil", "campaign", "report", "out")]
+    assert page.about[:-2:2] == [
+        "one, case 2, over bound",
         "one, case 3, diverged",
         "one, case 4, stopped: ended so",
         "one, case 5 (which wheels cannot follow), diverged",
@@ -322,14 +332,18 @@ def test_a_table_of_random_cases_counts_verdicts_and_has_median_and_worst() -> N
         "can_follow": True,
         "verdict": "stopped",
         "reason": "ended so",
-        "figures": {},
-        "command": ["hil", "one"],
+        "error_m": None,
+        "told_m": None,
+        "variation": None,
+        "needed": None,
+        "mass_factor": 1.5,
+        "repeat": "hil one",
     }
 
 
 BRIEF = {"loop.duration_s": 0.05, "expect": []}
 """What a case can follow is looked at for so long."""
-GIVEN = ("controller", "robot", "firmware", "plant", "loop", "link", "device", "reference", "fault")
+GIVEN = ("controller", "robot", "firmware", "plant", "loop", "link", "device", "reference", "fault", "estimator")
 OMEGA = 2.0 * math.pi / 3.0
 
 

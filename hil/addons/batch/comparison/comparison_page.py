@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from typer import Argument, Option
 
 from hil.addons.batch.columns import Column, shown_columns
-from hil.addons.batch.comparison import random_cases as cases
 from hil.addons.batch.comparison.comparison import (
     DRIVES,
     FRICTIONS,
@@ -19,11 +19,16 @@ from hil.addons.batch.comparison.comparison import (
     Row,
     compare,
 )
+from hil.addons.batch.comparison.robust import CSV, Robust
+from hil.addons.batch.comparison.robust import plots as plots_of_cases
+from hil.addons.batch.comparison.robust import results as results_of_cases
 from hil.addons.batch.job import Signals
 from hil.addons.batch.results_page import Html, Page, Pictures, Plot, Results, Table, finish
 from hil.cli.options import LAW, LAW_HELP, Force, Jobs, Json, Limit, Seed, Sets
 from hil.cli.output import batch
-from hil.core.errors import BadInputError
+from hil.core.errors import BadInputError, RunInterruptedError
+from hil.core.extras import missing_of
+from hil.core.outputs import write_whole
 from hil.pages.plots import (
     Curve,
     colour_of,
@@ -31,6 +36,7 @@ from hil.pages.plots import (
     draw_path,
     is_dashed,
 )
+from hil.record.files import new_in_runs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,6 +65,10 @@ def command(
     robust: Annotated[
         int | None, Option(metavar="N", min=1, help="instead of tables: N random cases, and how many each law holds")
     ] = None,
+    out: Annotated[
+        Path | None,
+        Option(metavar="DIR", help="where --robust keeps its runs, continued if begun; by default new in runs"),
+    ] = None,
     html: Html = None,
     pictures: Pictures = None,
     jobs: Jobs = None,
@@ -70,24 +80,69 @@ def command(
 ) -> None:
     """Run laws under the same conditions and print one table for each; exit 1 when a run failed."""
     *laws, scenario = laws_and_scenario
-    page = Page.of(html, pictures, force=force)
     others = {"--torque": torque, "--drive": drive, "--estimator": estimator, "--contact": contact, "--quick": quick}
-    if robust is not None and (given := [name for name, value in others.items() if value]):
-        raise BadInputError(
-            f"{given[0]}: --robust draws its own cases; leave {given[0]} out, or fix a key for all of them with --set"
-        )
-    with batch(as_json=as_json) as progress:
-        if robust is not None:
-            base, tried = cases.try_laws(
-                laws, scenario, robust, sets or [], seed, workers=jobs, limit_s=limit_s, on_progress=progress
+    if robust is not None:
+        if given := [name for name, value in others.items() if value]:
+            raise BadInputError(
+                f"{given[0]}: --robust draws its own cases; leave {given[0]} out, or fix a key for all of them with "
+                "--set"
             )
-            found = cases.results(base, tried)
-        else:
-            conditions = (torque or TORQUES_N_M, drive or list(DRIVES), estimator or [], contact or [])
-            request = Request(laws, scenario, sets or [], seed, *conditions, quick=quick, curves=page.file is not None)
-            comparison = compare(request, workers=jobs, limit_s=limit_s, on_progress=progress)
-            found = results(comparison)
+        cases = Robust(laws, scenario, robust, sets or [], seed)
+        folder = out if out is not None else new_in_runs(f"robust-{cases.base.name}", "", "name another with --out")
+        _try(cases, folder, html, pictures, jobs, limit_s, force=force, as_json=as_json)
+    if out is not None:
+        raise BadInputError(f"--out {out}: it keeps the runs of --robust N; give that too, or leave it out")
+    page = Page.of(html, pictures, force=force)
+    with batch(as_json=as_json) as progress:
+        conditions = (torque or TORQUES_N_M, drive or list(DRIVES), estimator or [], contact or [])
+        request = Request(laws, scenario, sets or [], seed, *conditions, quick=quick, curves=page.file is not None)
+        comparison = compare(request, workers=jobs, limit_s=limit_s, on_progress=progress)
+    found = results(comparison)
     finish(found, page, as_json=as_json)
+    raise typer.Exit(0 if found.passed else 1)
+
+
+def _try(
+    cases: Robust,
+    folder: Path,
+    html: Path | None,
+    pictures: str | None,
+    jobs: int | None,
+    limit_s: float,
+    *,
+    force: bool,
+    as_json: bool,
+) -> NoReturn:
+    """Do the runs of random cases, show what is done even if interrupted, and exit.
+
+    Table and page are written anew from the folder's rows. Without the packages for plots there is no page, unless it
+    is asked for.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(
+            f"folder {folder}: it cannot be made ({error.strerror}); name another with --out"
+        ) from error
+    own_page = None if pictures is None and missing_of("plots") else folder / "report.html"
+    page = Page.of(html or own_page, pictures, force=force or html is None)
+    total, is_interrupted = len(cases.trials), False
+    with batch(as_json=as_json) as progress:
+        try:
+            for _ in cases.perform(folder, jobs, limit_s):
+                if progress is not None:
+                    progress(cases.done, total, None, cases.failed)
+        except KeyboardInterrupt:
+            is_interrupted = True
+            cases.read(folder)
+    found = results_of_cases(cases.base, cases.trials, folder, plots_of_cases(folder))
+    write_whole(folder / CSV, cases.csv().encode(), "table", "replace")
+    finish(found, page, as_json=as_json)
+    if is_interrupted:
+        raise RunInterruptedError(
+            f"interrupted; {cases.done} of {total} runs are done and saved in {folder}; run the same command with "
+            f"--out {folder} to continue"
+        )
     raise typer.Exit(0 if found.passed else 1)
 
 

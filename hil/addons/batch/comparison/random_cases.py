@@ -1,54 +1,41 @@
-"""How laws hold in random cases: ``hil compare --robust N``. Each run gets one verdict, from its last third."""
+"""The random cases of ``hil compare --robust``: robots, sensors, fixes, links and references, drawn from a seed."""
 
-import itertools
 import math
 import random
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from hil.addons.batch.comparison.comparison import LINK, MODE, Entry, check_laws, entries
-from hil.addons.batch.job import ENDED, PASSED, REFUSED, Job, Outcome
-from hil.addons.batch.keys import make_job
-from hil.addons.batch.pool import OnProgress, run_jobs
-from hil.addons.batch.results_page import Results, Table
-from hil.addons.batch.run import attempt, kept_robot
-from hil.cli.output import next_command
 from hil.core.model import GRAVITY_M_S2, RobotModel
 from hil.core.types import WHEEL_NAMES, Pose
 from hil.faults.kinds import BATTERY_V, BATTERY_VARIABLE
-from hil.judge.effort import Effort
-from hil.judge.measure import NoFigureError, RunSetup, Series
-from hil.judge.result import RunResult
-from hil.laws.law_registry import LAWS
 from hil.references import feasibility, make_reference
 from hil.robot.driver_registry import OUR_DRIVER
-from hil.runtime.assembly import RunOptions
-from hil.runtime.run_parts import RunParts
-from hil.scenario import Scenario, read, set_texts
-
-KIND = f"{__name__}:run"
-"""The kind of job that runs a case and measures its last third."""
-FAILED = "failed"
-VERDICTS = ("held", "over 3 mm", "limit cycle", "diverged", "stopped", FAILED)
-"""From best to worst; a run has the worst that fits.
-
-Over 3 mm: the error, rms over the last third. Limit cycle: the torque varies by more than 20 N·m/s a wheel, and twice
-what the reference itself needs. Diverged: more than 100 mm away, rms. Stopped: the robot, or the link, ended the run.
-Failed: the law raised an error, or the run hung.
-"""
-_DIVERGED_M, _OFF_M = 0.1, 0.003
-_VARIATION_N_M_S, _TIMES = 20.0, 2.0
-_CURRENTS = tuple(f"wheel.{wheel}.current_a" for wheel in WHEEL_NAMES)
-_VARIATION = "torque_variation_n_m_per_s"
+from hil.scenario import Scenario
 
 RATES_HZ = (100, 200, 250, 500, 1000)
 CURRENT_DRIVES = ("current", "voltage")
 MAKERS = ("odrive", "vesc")
 """Motors of other makers, half of the cases: each does its speed loop by itself, and acknowledges no command."""
+COUNTS = tuple(2**n for n in range(6, 14))
+"""Encoder counts of one turn of a wheel: 64 to 8192."""
+_FIX = "estimator.simulated_fix."
+FIXES: Mapping[str, Mapping[str, Any]] = {
+    "as told": {},
+    "lasting": {f"{_FIX}held_share": 1.0, f"{_FIX}held_s": 2.0},
+    "of two maps": {
+        f"{_FIX}sigma_m": 0.0283,
+        f"{_FIX}map_share": 0.5,
+        f"{_FIX}map_scale_m": 3.0,
+        f"{_FIX}map_blend": 0.0,
+    },
+    "twice as noisy": {f"{_FIX}noisier": 2.0},
+    "in a corridor": {f"{_FIX}corridor_times": 5.0, f"{_FIX}tells": "truth"},
+    "outliers in bursts": {f"{_FIX}outlier_probability": 0.1, f"{_FIX}burst_s": 1.5},
+    "300 ms late": {f"{_FIX}latency_s": 0.3},
+    "none for 5 s": {f"{_FIX}gap_start_s": 5.0, f"{_FIX}gap_end_s": 10.0},
+}
+"""How pose fixes err (``hil.estimation.fix_errors``), and the keys that make them so."""
 _TORQUE_N_M = 1.5, 5.0
 _MASS = 0.5, 2.0
 _FRICTION = 0.2, 4.0
@@ -58,6 +45,9 @@ _HIDDEN_S = 0.001, 0.02
 _SPEED_M_S = 0.1, 0.6
 _SIZE_M = 0.5, 1.5
 _YAW_RATE_RAD_S = 0.8
+_COM_M = 0.05
+_RADIUS, _LOSS, _GYRO_SCALE = (0.98, 1.02), 0.05, 0.01
+_GYRO_NOISE_RAD_S, _GYRO_BIAS_RAD_S, _ACCELERATION_M_S2 = (0.001, 0.02), 0.02, (0.02, 0.5)
 _OF_NO_LOAD = 0.9
 _SHARE = 0.8
 """Of torque, speed and grip: a reference that needs no more of the true robot can be followed."""
@@ -67,11 +57,15 @@ _EIGHT, _SQUARE = 6.097, 4.0
 
 
 class RandomCase(NamedTuple):
-    """A case: the keys of the scenario that make it, and whether the true robot's wheels can follow its reference."""
+    """A case: the keys of the scenario that make it, and whether the true robot's wheels can follow its reference.
+
+    ``axes`` has what was drawn, in words and numbers, for tables and pictures.
+    """
 
     number: int
     sets: Mapping[str, Any]
     can_follow: bool
+    axes: Mapping[str, str | float]
 
 
 class _Draw:
@@ -95,8 +89,9 @@ class _Draw:
 def cases(base: Scenario, count: int, seed: int, given: Sequence[str]) -> list[RandomCase]:
     """Return the first ``count`` cases of a seed over a scenario; keys in ``given`` stay as the scenario has them.
 
-    Mass, inertia and friction are times what ``[robot]`` believes, which stays. Half of the cases have a command mode
-    each, half of them a slippery floor, and half of them an unreported latency of commands.
+    Mass, inertia and friction are times what ``[robot]`` believes, which stays; so do wheels, rollers, centre of mass
+    and sensors that are otherwise. Half of the cases have a command mode each, half of them a slippery floor, half an
+    unreported latency of commands, and half a state that is estimated.
     """
     return [_case(base, number, _Draw(seed, number), given) for number in range(count)]
 
@@ -112,6 +107,10 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Ran
     driver = draw.one_of((OUR_DRIVER, OUR_DRIVER, *MAKERS))
     told_s = draw.within(0.0, _LATENCY_S, 3), draw.within(0.0, _LATENCY_S, 3)
     reference = _reference(draw)
+    start = _start(draw)
+    is_fused, fixes = draw.half(), draw.one_of(tuple(FIXES))
+    counts = draw.one_of(COUNTS)
+    unlike, imu = _unlike(draw), _imu(draw)
     robot = base.robot
     sets: dict[str, Any] = {
         "controller.command": "torque" if is_torque else "speed",
@@ -126,9 +125,14 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Ran
         "link.command_latency_s": told_s[0],
         "link.feedback_latency_s": told_s[1],
         "reference": reference,
+        "firmware.counts_per_revolution": counts,
+        **unlike,
+        **({"estimator.source": "fused", **FIXES[fixes]} if is_fused else {"estimator.source": "truth"}),
     }
     if driver != OUR_DRIVER:
         sets["device.driver"] = driver
+    if not (base.device.is_makers if "device.driver" in given else driver != OUR_DRIVER):
+        sets |= imu  # motors of other makers have none
     if slips:
         sets["plant.start.grip_coefficient"] = grip
     if drive in CURRENT_DRIVES:
@@ -141,11 +145,51 @@ def _case(base: Scenario, number: int, draw: _Draw, given: Sequence[str]) -> Ran
         reference = {"kind": base.reference.kind, **base.reference.options}
     kind = dict(reference)
     source = make_reference(str(kind.pop("kind")), kind, base.directory)
-    sets |= _start(draw, source.at(0.0).pose)
+    sets |= _start_of(source.at(0.0).pose, *start)
     sets = {key: value for key, value in sets.items() if not any(_covers(one, key) for one in given)}
     true = _true_robot(base, sets)
     needs = feasibility(source, true, base.loop.duration_s, base.loop.period_ns * 1e-9)
-    return RandomCase(number, sets, not needs.sentences)
+    radii = [unlike[f"plant.start.wheel.{name}.radius_factor"] for name in WHEEL_NAMES]
+    axes: dict[str, tuple[str, str | float]] = {  # with the key that makes it
+        "mode": ("controller.command", "torque" if is_torque else "speed"),
+        "drive": ("plant.start.drive", drive),
+        "motors": ("device.driver", "ours" if driver == OUR_DRIVER else driver),
+        "floor": ("plant.start.contact", "slip" if slips else "rigid"),
+        "reference": ("reference", reference["kind"]),
+        "state": ("estimator", f"fixes {fixes}" if is_fused else "true"),
+        "rate_hz": ("loop.rate_hz", rate_hz),
+        "torque_limit_n_m": ("robot.torque_limit_n_m", torque_n_m),
+        "mass_factor": ("plant.start.mass_kg", mass),
+        "friction_factor": ("plant.start.friction_coefficient", friction),
+        "told_latency_s": ("link", sum(told_s)),
+        "hidden_latency_s": ("fault", hidden_s if is_hidden else 0.0),
+        "start_distance_m": ("plant.start.start_x_m", start[0]),
+        "counts_per_revolution": ("firmware.counts_per_revolution", counts),
+        "radius_difference": ("plant.start.wheel", round(max(radii) - min(radii), 5)),
+        **{name.removeprefix("plant.start."): (name, unlike[name]) for name in unlike if ".wheel." not in name},
+    }
+    shown = {name: value for name, (key, value) in axes.items() if not any(_covers(one, key) for one in given)}
+    return RandomCase(number, sets, not needs.sentences, shown)
+
+
+def _unlike(draw: _Draw) -> dict[str, float]:
+    """Return where the true robot's wheels, rollers and centre of mass are not as believed."""
+    radii = {f"plant.start.wheel.{name}.radius_factor": draw.within(*_RADIUS, 5) for name in WHEEL_NAMES}
+    return radii | {
+        "plant.start.sideways_loss": draw.within(-_LOSS, _LOSS, 5),
+        "plant.start.com_x_m": draw.within(-_COM_M, _COM_M, 5),
+        "plant.start.com_y_m": draw.within(-_COM_M, _COM_M, 5),
+    }
+
+
+def _imu(draw: _Draw) -> dict[str, float]:
+    """Return how the inertial sensors err."""
+    return {
+        "plant.start.gyro_scale": draw.within(1.0 - _GYRO_SCALE, 1.0 + _GYRO_SCALE, 5),
+        "plant.start.gyro_bias_z_rad_s": draw.within(-_GYRO_BIAS_RAD_S, _GYRO_BIAS_RAD_S, 5),
+        "plant.start.gyro_noise_rad_s": round(draw.factor(*_GYRO_NOISE_RAD_S), 5),
+        "plant.start.accelerometer_noise_m_s2": round(draw.factor(*_ACCELERATION_M_S2), 4),
+    }
 
 
 def _motor_speed_rad_s(base: Scenario) -> float:
@@ -175,10 +219,12 @@ def _reference(draw: _Draw) -> dict[str, Any]:
     return {"kind": kind, "path": "circle", "radius_m": size_m, "speed_m_s": speed_m_s, "yaw_rate_rad_s": yaw_rate}
 
 
-def _start(draw: _Draw, first: Pose) -> dict[str, float]:
-    """Return a start up to 1.5 m from the reference's, and turned by any angle."""
-    far_m, way_rad = draw.within(0.0, _FAR_M), draw.within(-math.pi, math.pi)
-    turned_rad = draw.within(-math.pi, math.pi)
+def _start(draw: _Draw) -> tuple[float, float, float]:
+    """Return how far from the reference's start [m], in which direction, and how far turned [rad]."""
+    return draw.within(0.0, _FAR_M), draw.within(-math.pi, math.pi), draw.within(-math.pi, math.pi)
+
+
+def _start_of(first: Pose, far_m: float, way_rad: float, turned_rad: float) -> dict[str, float]:
     return {
         "plant.start.start_x_m": round(first.x_m + far_m * math.cos(way_rad), 4),
         "plant.start.start_y_m": round(first.y_m + far_m * math.sin(way_rad), 4),
@@ -204,174 +250,3 @@ def _true_robot(base: Scenario, sets: Mapping[str, Any]) -> RobotModel:
         torque_limit_n_m=_SHARE * torque_n_m,
         speed_limit_rad_s=_SHARE * float(sets.get("robot.speed_limit_rad_s", robot.speed_limit_rad_s)),
     )
-
-
-class Tried(NamedTuple):
-    """A law in a case; ``command`` repeats it."""
-
-    entry: Entry
-    case: RandomCase
-    outcome: Outcome
-    command: Sequence[str]
-
-    @property
-    def error_m(self) -> float | None:
-        """The planar error, rms over the last third."""
-        return self.outcome.figures.get("error_m")
-
-    @property
-    def verdict(self) -> str:
-        """One of ``VERDICTS``, or ``refused``."""
-        status, figures = self.outcome.status, self.outcome.figures
-        if status == REFUSED:
-            return REFUSED
-        if status != PASSED:
-            return "stopped" if status == ENDED else FAILED
-        if not figures["error_m"] <= _DIVERGED_M:  # NaN is far too
-            return "diverged"
-        if figures["variation"] > max(_VARIATION_N_M_S, _TIMES * figures["needed"]):
-            return "limit cycle"
-        return "over 3 mm" if figures["error_m"] > _OFF_M else "held"
-
-    def plain(self) -> dict[str, Any]:
-        """Return it as plain values, for JSON."""
-        return {
-            "law": self.entry.label,
-            "case": self.case.number,
-            "can_follow": self.case.can_follow,
-            "verdict": self.verdict,
-            "reason": self.outcome.reason,
-            "figures": dict(self.outcome.figures),
-            "command": list(self.command),
-        }
-
-    def lines(self) -> Iterator[str]:
-        """Yield the verdict, and the command that repeats the run."""
-        reason = f": {self.outcome.reason}" if self.outcome.reason else ""
-        follows = "" if self.case.can_follow else " (which wheels cannot follow)"
-        yield f"{self.entry.label}, case {self.case.number}{follows}, {self.verdict}{reason}"
-        yield f"  {next_command(*self.command)}"
-
-
-def try_laws(
-    laws: Sequence[str],
-    scenario: str,
-    count: int,
-    sets: Sequence[str],
-    seed: int | None = None,
-    *,
-    workers: int | None = None,
-    limit_s: float = 120.0,
-    on_progress: OnProgress | None = None,
-) -> tuple[Scenario, list[Tried]]:
-    """Run laws (without any, all shipped ones) in the same ``count`` cases; workers and limits as in ``compare``.
-
-    A key among ``sets`` is not drawn. Returns the base scenario, and the runs, law by law. Raises BadInputError as
-    ``compare`` does.
-    """
-    check_laws(scenario, sets)
-    sources = read(scenario)
-    base = sources.scenario(set=sets, mode=MODE, link=LINK, seed=seed)
-    given = [text.partition("=")[0].strip() for text in sets]
-    drawn = cases(base, count, base.loop.seed, given)
-    scenarios = [
-        sources.scenario(set=[*sets, *set_texts(case.sets)], mode=MODE, link=LINK, seed=seed) for case in drawn
-    ]
-    named = entries(laws or list(LAWS.shipped), scenario, sets)
-    pairs = [(entry, case, one) for entry in named for case, one in zip(drawn, scenarios, strict=True)]
-    jobs = [make_job(entry.scenario(one), KIND, limit_s=limit_s) for entry, _, one in pairs]
-    outcomes = run_jobs(jobs, workers, on_progress)
-    seeds = () if seed is None else ("--seed", str(seed))
-    return base, [
-        Tried(entry, case, outcome, (*_command(scenario, sets, case, entry), *seeds))
-        for (entry, case, _), outcome in zip(pairs, outcomes, strict=True)
-    ]
-
-
-def results(base: Scenario, tries: Sequence[Tried]) -> Results:
-    """Return what laws did in random cases: how often each held, and what repeats each other run."""
-    failed = sum(one.verdict == FAILED for one in tries)
-    about = [line for one in tries if one.verdict != "held" for line in one.lines()]
-    name, seed = base.name, base.loop.seed
-    return Results(
-        f"Laws in random cases of {name}, seed {seed}",
-        not failed,
-        f"{failed} of {len(tries)} runs failed" if failed else f"{len(tries)} runs, none of which failed",
-        about,
-        [Table("Random cases", list(_rows(tries)), numbers=range(2, 5 + len(VERDICTS)))],
-        [],
-        {"scenario": name, "seed": seed, "passed": not failed, "trials": [one.plain() for one in tries]},
-    )
-
-
-def _rows(tries: Sequence[Tried]) -> Iterator[tuple[str, ...]]:
-    """Yield a table: how often each verdict was given, with the references that wheels can follow and the rest."""
-    yield ("law", "the wheels", "cases", *VERDICTS, REFUSED, "rms mm, median", "worst")
-    words = {True: "can follow", False: "cannot"}
-    for label, follows in itertools.product(dict.fromkeys(one.entry.label for one in tries), words):
-        some = [one for one in tries if (one.entry.label, one.case.can_follow) == (label, follows)]
-        if some:
-            count = Counter(one.verdict for one in some)
-            errors = [1e3 * one.error_m for one in some if one.error_m is not None and math.isfinite(one.error_m)]
-            spread = (f"{np.median(errors):.3f}", f"{max(errors):.3g}") if errors else ("-", "-")
-            yield (label, words[follows], str(len(some)), *(str(count[one]) for one in (*VERDICTS, REFUSED)), *spread)
-
-
-def _command(scenario: str, sets: Sequence[str], case: RandomCase, entry: Entry) -> list[str]:
-    law = {"controller.law": entry.label.partition(",")[0]}
-    mode = case.sets.get("controller.command")
-    gains = {
-        f"controller.gains.{name}": value
-        for of, own in entry.gains.items()
-        if mode is None or of.name.lower() == mode
-        for name, value in own.items()
-    }
-    texts = [*sets, *set_texts({**case.sets, **law, **gains})]
-    return ["hil", "run", scenario, "--lenient", *(word for text in texts for word in ("--set", text))]
-
-
-def run(job: Job, scenario: Scenario) -> Outcome:
-    """Run a case and measure its last third: the kind of job of this module, for worker processes.
-
-    Figures are ``error_m``, the planar error (rms); ``variation``, the torque's [N·m/s a wheel]; and ``needed``, that
-    of the torques that the reference takes by the true mass and friction.
-    """
-
-    def judge(result: RunResult) -> Outcome:
-        if result.failure is not None:
-            return Outcome(job.key, ENDED, str(result.failure))
-        t_s = result.signals["loop.t_s"]
-        last = t_s >= t_s[-1] * 2.0 / 3.0
-        error_m = result.signals["error.planar_m"][last]
-        constant = scenario.firmware.torque_constant_n_m_a
-        currents = {name: result.signals[name][last] for name in _CURRENTS}
-        figures = {
-            "error_m": float(np.sqrt(np.mean(error_m**2))),
-            "variation": _variation(t_s[last], currents, constant),
-            "needed": _variation(t_s[last], _needed_a(scenario, t_s[last], constant), constant),
-        }
-        return Outcome(job.key, PASSED, None, figures)
-
-    return attempt(job, scenario, judge, RunOptions(make_robot=kept_robot(), keep_signals=True))
-
-
-def _variation(t_s: Series, currents_a: Mapping[str, Series], torque_constant_n_m_a: float) -> float:
-    measure = Effort(RunSetup(torque_constant_n_m_a))
-    measure.add({"loop.t_s": t_s, **currents_a})
-    try:
-        return measure.value(_VARIATION)
-    except NoFigureError:  # a board that measures no currents
-        return math.nan
-
-
-def _needed_a(scenario: Scenario, t_s: Series, torque_constant_n_m_a: float) -> dict[str, Series]:
-    """Return the currents with which the true robot would follow its reference without an error."""
-    start = scenario.plant.start
-    names = ("mass_kg", "inertia_kg_m2", "friction_coefficient")
-    true = replace(scenario.robot, **{name: float(start[name]) for name in names if name in start})
-    source = RunParts(scenario).reference
-    torques = []
-    for one in t_s:
-        pose, twist, acceleration = source.at(float(one))
-        torques.append(true.wheel_torques(acceleration, twist, pose.heading_rad, twist))
-    return dict(zip(_CURRENTS, np.array(torques).T / torque_constant_n_m_a, strict=True))
