@@ -17,6 +17,7 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
+from hil.addons.batch.comparison.random_cases import FIXES
 from hil.core.model import RobotModel
 from hil.core.outputs import write_whole
 from hil.core.types import MeasuredPose, Pose, PoseFix, State
@@ -71,14 +72,15 @@ def reach() -> Iterator[Condition]:
     for percent in (-1.0, 1.0):
         scale = {f"{START}gyro_scale": 1.0 + 0.01 * percent}
         yield Condition(f"gyro {percent:+g} %, figure of eight", scale, scenario="figure_eight")
-    yield Condition("noise of fixes lasts 2 s", {f"{FIX}held_share": 1.0, f"{FIX}held_s": 2.0})
-    rooms = {"sigma_m": 0.02 * math.sqrt(2.0), "map_share": 0.5, "map_scale_m": 3.0, "map_blend": 0.0}
-    yield Condition("map off by 20 mm, otherwise in each room", {FIX + name: value for name, value in rooms.items()})
-    yield Condition("twice as noisy as told", {f"{FIX}noisier": 2.0})
-    bursts = {f"{FIX}outlier_probability": 0.1, f"{FIX}burst_s": 1.5}
-    yield Condition("10 % outliers by 1 m, in bursts of 1.5 s", bursts)
-    yield Condition("corridor: 5 times the noise along it, told", {f"{FIX}corridor_times": 5.0, f"{FIX}tells": "truth"})
-    yield Condition("300 ms late", {f"{FIX}latency_s": 0.3})
+    for words, name in (
+        ("noise of fixes lasts 2 s", "lasting"),
+        ("map off by 20 mm, otherwise in each room", "of two maps"),
+        ("twice as noisy as told", "twice as noisy"),
+        ("10 % outliers by 1 m, in bursts of 1.5 s", "outliers in bursts"),
+        ("corridor: 5 times the noise along it, told", "in a corridor"),
+        ("300 ms late", "300 ms late"),
+    ):
+        yield Condition(words, FIXES[name])
     yield Condition("none from 20 s to 30 s", {f"{FIX}gap_start_s": 20.0, f"{FIX}gap_end_s": 30.0})
 
 
