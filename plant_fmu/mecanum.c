@@ -53,6 +53,9 @@ void mecanum_start(const mecanum_parameters *p, mecanum_state *state) {
         x[MECANUM_TEMPERATURE_DEGC + i] = p->air_degc;
     }
     roll_on(&model, state);
+    const mecanum_inputs no_push = {.drive_enabled = 1.0};
+    const mecanum_motion motion = mecanum_motion_of(&model, state);
+    mecanum_tip(&model, &no_push, &motion, 0.0, state);
 }
 
 /* The largest acceleration of wheels for one newton metre each. Rigid: the largest eigenvalue of J M^-1 J^T,
@@ -242,12 +245,14 @@ void mecanum_integrate(const mecanum_model *model, const mecanum_inputs *u, cons
 
 void mecanum_advance(const mecanum_model *model, const mecanum_inputs *u, double step_s,
                      double internal_steps, mecanum_state *state) {
+    const mecanum_motion before = mecanum_motion_of(model, state);
     for (long i = 0; i < (long)internal_steps; i++) {
         mecanum_step(model, u, step_s / internal_steps, state);
     }
     if (model->p->contact != MECANUM_CONTACT_SLIP) {
         roll_on(model, state);
     }
+    mecanum_tip(model, u, &before, step_s, state);
 }
 
 /* Energy of motion, height, bent rollers and windings. */
@@ -336,6 +341,8 @@ void mecanum_output(const mecanum_model *model, const mecanum_inputs *u, const m
         memcpy(out->wheel_load_n, ground.load_n, sizeof out->wheel_load_n);
         memcpy(out->wheel_slip_m_s, ground.slip_m_s, sizeof out->wheel_slip_m_s);
     }
+    out->tip_margin = state->tip_margin;
+    out->tip_rad = state->tip_rad;
     out->energy_supplied_j = x[MECANUM_SUPPLIED_J];
     out->energy_stored_j = stored_j(model, state);
     out->energy_lost_j = x[MECANUM_LOST_J];

@@ -33,6 +33,9 @@ enum {
 
 typedef struct {
     double x[MECANUM_STATES];
+    double tip_margin; /* of the last step */
+    double tip_rad;    /* about the wheels of one side */
+    double tip_rad_s;
 } mecanum_state;
 
 /* What follows from the parameters, once for all steps: model.h. */
@@ -49,6 +52,10 @@ double mecanum_internal_steps(const mecanum_model *model, double step_s);
 /* Advances the state by `step_s`, in so many equal steps, with the inputs held. */
 void mecanum_advance(const mecanum_model *model, const mecanum_inputs *u, double step_s,
                      double internal_steps, mecanum_state *state);
+
+/* Tells whether the centre of mass is beyond the wheels over which the robot has tipped: it does not come
+ * back. */
+bool mecanum_has_tipped(const mecanum_parameters *p, const mecanum_state *state);
 
 /* Writes what follows from the state, the inputs and the time. */
 void mecanum_output(const mecanum_model *model, const mecanum_inputs *u, const mecanum_state *state,

@@ -102,6 +102,13 @@ bool physics_advance(plant_instance *plant, double step_s, double internal_steps
             "look at the inputs or take a shorter longest_step_s",
             plant->now.time_s, turn_rad);
     }
+    if (mecanum_has_tipped(&plant->now.parameters, &state)) {
+        return plant_discard(
+            plant,
+            "doStep: after %.10g s the robot tips over: its centre of mass is beyond its wheels; look "
+            "at com_height_m, com_x_m and com_y_m, the torques and pushes",
+            plant->now.time_s);
+    }
     plant->now.state = state;
     return true;
 }

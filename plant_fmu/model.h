@@ -4,6 +4,7 @@
  * model.c     constants, and the forces that are not the wheels'
  * motor.c     motors and battery
  * contact.c   rollers that do not slip, and rollers that do
+ * tip.c       how near the robot is to tipping over
  * friction.c  which wheels stand still, and the steps up to where one comes to rest
  * mecanum.c   start, derivative, integrator, outputs */
 #ifndef MECANUM_MODEL_H
@@ -119,6 +120,22 @@ void mecanum_ground(const mecanum_model *model, const mecanum_modes *modes, cons
 /* Body acceleration of the robot on these forces. */
 void mecanum_slip_acceleration(const mecanum_model *model, const double body_force[3],
                                const mecanum_contact *contact, double acceleration[3]);
+
+/* tip.c */
+
+/* What of a state decides whether the robot tips: body twist, and the wheels' angular momentum. */
+typedef struct {
+    double twist[3];
+    double spin_n_m_s;
+} mecanum_motion;
+
+mecanum_motion mecanum_motion_of(const mecanum_model *model, const mecanum_state *state);
+
+/* Lets the robot tip or come back during a step, from the mean of the accelerations: `before` is its motion
+ * at the beginning, `state` its state at the end. With a step of 0 s only the margin is written, as it is
+ * without acceleration. */
+void mecanum_tip(const mecanum_model *model, const mecanum_inputs *u, const mecanum_motion *before,
+                 double step_s, mecanum_state *state);
 
 /* friction.c */
 

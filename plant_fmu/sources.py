@@ -28,6 +28,7 @@ SOURCE_FILES = (
     "contact.c",
     "friction.c",
     "sensors.c",
+    "tip.c",
 )
 SOURCES = tuple(HERE / name for name in SOURCE_FILES)
 HEADERS = (*sorted(HERE.glob("*.h")), *sorted(GENERATED.glob("*.h")))

@@ -67,6 +67,7 @@ _NEAR = RULED | {
         ("contact.c", "friction.c", "mecanum.c", "mecanum_physics.c", "model.c"),
         (*_OF_FORCES, *_of("plant_fmu", "plant_energy", "plant_state", "three_plants")),
     ),
+    "tip.c": _of("plant_fmu", "plant_tips"),
     "motor.c": (*_of("plant_fmu", "plant_motors"), *_OF_FORCES),
     "sensors.c": (*_of("plant_fmu", "plant_sensors"), *_OF_FORCES),
     **dict.fromkeys(("instance.c", "saved_state.c"), (*_OF_CALLS_OF_FMI, *_OF_FORCES)),
