@@ -244,6 +244,7 @@ def test_pictures_have_the_runs_of_each_law(
     found: Judged, frame: pandas.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(campaign_page, "_SCATTERED", 9)
+    monkeypatch.setattr(campaign_page, "_LETTERS", 10)
     distributions, effects = campaign_page.plots(found)
     assert (distributions.rows, distributions.columns, effects.rows, effects.columns) == (3, 2, 2, 2)
 
@@ -266,6 +267,8 @@ def test_pictures_have_the_runs_of_each_law(
     assert [panel.get_xlabel() for panel in axes] == ["estimator.source", "robot.mass_kg", FRICTION, "fault"]
     assert [panel.get_xscale() for panel in axes] == ["linear", "linear", "log", "linear"]
     assert [label.get_text() for label in axes[0].get_xticklabels()] == ["truth", "odometry"]
+    turned = [[label.get_rotation() for label in axes[place].get_xticklabels()] for place in (0, 3)]
+    assert turned == [[45.0, 45.0], [0.0, 0.0]], "13 letters are too many here, calm and lossy are not"
     place = {"truth": 0, "odometry": 1, "calm": 0, "lossy": 1}
     for panel in axes:
         assert panel.get_ylabel() == "steady rms [mm]"

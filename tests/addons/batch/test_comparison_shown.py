@@ -284,6 +284,8 @@ def tried(law: str, number: int, status: str, error_m: float | None = None, *, c
         figures = {"error_m": error_m, "told_m": 0.0, "variation": 1.0, "needed": 1.0}
         figures["verdict"] = verdict_of(figures)
     row = {"outcome": status, "reason": None if status == PASSED else f"{status} so", **figures}
+    if number == 3:
+        row["reason"] = "diverged; lost"
     case = RandomCase(number, {}, can_follow, {"mass_factor": 1.5})
     return Tried(entry(law), case, make_job(load("compare_circle")), ("hil", law), row)
 
@@ -319,7 +321,7 @@ def test_a_table_of_random_cases_counts_verdicts_and_has_median_and_worst() -> N
     assert page.about[-2:] == ["each run is a line of out/cases.csv", next_command("hil", "campaign", "report", "out")]
     assert page.about[:-2:2] == [
         "one, case 2, over bound",
-        "one, case 3, diverged",
+        "one, case 3, diverged; lost",
         "one, case 4, stopped: ended so",
         "one, case 5 (which wheels cannot follow), diverged",
         "two, case 0, failed: lost so",

@@ -164,6 +164,7 @@ def test_the_command_prints_how_laws_held_and_what_repeats_the_rest(tmp_path: Pa
     assert any(row.split()[0] == law for row in rows)
     lines = list(csv.DictReader((out / "cases.csv").open()))
     assert [(line["law"], line["case"], line["verdict"]) for line in lines] == [(law, n, "diverged") for n in "01"]
+    assert [line["reason"].partition("; ")[0] for line in lines] == ["diverged", "diverged"]
     drawn = cases(load(SCENARIO, set=[SHORT], seed=3), 2, 3, ["loop.duration_s"])
     assert [float(line["mass_factor"]) for line in lines] == [case.axes["mass_factor"] for case in drawn]
     assert sorted(file.name for file in out.glob("*.svg")) == ["distributions.svg", "effects.svg"]

@@ -26,6 +26,8 @@ _MEANINGS = (
 _REASONS = 12
 _SCATTERED = 2000
 _LEGEND_IN = 0.3
+_LETTERS = 40
+"""Of words side by side below a panel; more of them are written at an angle."""
 
 
 def results(judged: Judged, page: Page) -> Results:
@@ -167,6 +169,9 @@ def draw_effects(axes: "list[Axes]", *, judged: Judged, names: list[str], shown:
             panel.plot(x[::every], y[::every], ".", color=colour, markersize=2.5, alpha=0.4, label=law)
         if not numeric:
             panel.set_xticks(range(len(words)), words)
+            if sum(map(len, words)) > _LETTERS:
+                for label in panel.get_xticklabels():
+                    label.set(rotation=45.0, ha="right")
         if judged.axes[name] == "log_uniform":
             panel.set_xscale("log")
         panel.set(xlabel=name, ylabel=column.labelled)

@@ -48,6 +48,7 @@ told. Limit cycle: the torque varies by more than 20 N·m/s a wheel, and twice w
 more than 100 mm away, rms. Stopped: the robot, or the link, ended the run. Failed: the law raised an error, or the run
 hung.
 """
+_JUDGED = VERDICTS.index("stopped")
 _OF_STATUS = {ENDED: "stopped", LOST: "failed", REFUSED: REFUSED}
 _DIVERGED_M, _OFF_M, _DEVIATIONS = 0.1, 0.003, 3.0
 _VARIATION_N_M_S, _TIMES = 20.0, 2.0
@@ -99,9 +100,11 @@ class Tried(NamedTuple):
 
     def lines(self) -> Iterator[str]:
         """Yield the verdict, and the command that repeats the run."""
-        reason = f": {self.reason}" if self.reason else ""
+        why = self.reason or self.verdict
+        if self.verdict not in VERDICTS[:_JUDGED]:  # its reason does not begin with the verdict
+            why = f"{self.verdict}: {why}"
         follows = "" if self.case.can_follow else " (which wheels cannot follow)"
-        yield f"{self.entry.label}, case {self.case.number}{follows}, {self.verdict}{reason}"
+        yield f"{self.entry.label}, case {self.case.number}{follows}, {why}"
         yield f"  {next_command(*self.command)}"
 
 
@@ -270,7 +273,7 @@ def run(job: Job, scenario: Scenario) -> Outcome:
     Besides those of a campaign the figures are ``error_m``, the planar error (rms); ``told_m``, the deviation that the
     estimator told of its position (rms), 0 of the true one; ``variation``, the torque's [N·m/s a wheel]; ``needed``,
     that of the torques that the reference takes by the true mass and friction; and ``verdict``. The reason of a run
-    that did not hold is its newest warning.
+    that did not hold is that, and the newest warning of its events.
     """
 
     def judge(result: RunResult) -> Outcome:
@@ -289,10 +292,11 @@ def run(job: Job, scenario: Scenario) -> Outcome:
             "needed": _variation(t_s[last], _needed_a(scenario, t_s[last], constant), constant),
         }
         verdict = verdict_of(figures)
-        warned = [event for event in result.events if event.level in ("WARN", "ERROR")]
-        reason = f"at {warned[-1].t_s:.2f} s: {warned[-1].text}" if warned and verdict != HELD else None
-        status = PASSED if verdict == HELD else FAILED
-        return Outcome(job.key, status, reason, {**run_columns(result.run), **figures, "verdict": verdict})
+        found = {**run_columns(result.run), **figures, "verdict": verdict}
+        if verdict == HELD:
+            return Outcome(job.key, PASSED, None, found)
+        warned = [event.text for event in result.events if event.level in ("WARN", "ERROR")]
+        return Outcome(job.key, FAILED, f"{verdict}; {warned[-1]}" if warned else verdict, found)
 
     return attempt(job, scenario, judge, RunOptions(make_robot=kept_robot(), keep_signals=True))
 
