@@ -4,7 +4,7 @@
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from firmware_protocol.extension import library, wheel
@@ -29,6 +29,7 @@ class Client(wheel.Client):
     Attributes:
         handle: the C struct, for cffi; valid as long as this object.
         view: ``wheel_view``, what is known of the robot. Look at it after each ``take``.
+        keep: gets what the logs hold, sent and received, before they are emptied.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Client(wheel.Client):
         lib.wheel_client_log(self.handle, *self._logs, _LOG_BYTES)
         self._logged = ffi.new("size_t[2]")
         self._hashes = hashlib.sha256(), hashlib.sha256()
+        self.keep: Callable[[bytes, bytes], None] | None = None
 
     def wire(self, wheel_of_channel: Sequence[int], sign_of_channel: Sequence[int]) -> None:
         """Set which wheel each robot channel drives, and its direction; the values in ``view`` are then per wheel.
@@ -118,8 +120,11 @@ class Client(wheel.Client):
     def hash_log(self) -> None:
         """Hash what the logs hold; due when ``view.log_is_due``."""
         self._lib.wheel_client_log_take(self.handle, self._logged)
-        for log, used, digest in zip(self._logs, self._logged, self._hashes, strict=True):
-            digest.update(self._ffi.buffer(log, used))
+        logs = [self._ffi.buffer(log, used) for log, used in zip(self._logs, self._logged, strict=True)]
+        for log, digest in zip(logs, self._hashes, strict=True):
+            digest.update(log)
+        if self.keep is not None:
+            self.keep(*map(bytes, logs))
 
     def hexdigest(self) -> str:
         """Return the hash of the session so far: the frames of each direction, in order."""

@@ -26,6 +26,11 @@ class LineWriter:
         if sys.platform != "win32":
             os.set_blocking(fd, False)
 
+    @property
+    def kept_back(self) -> int:
+        """Bytes in the buffer, which the pipe has not taken yet."""
+        return len(self._kept_back)
+
     def send(self, record: Mapping[str, object], *, always: bool = False) -> bool:
         """Write or buffer one record; with ``always`` the buffer grows as needed.
 

@@ -50,7 +50,7 @@ def load(path: str | Path) -> RunResult:
     """
     run = read(Path(path))
     found = judged_run(run)
-    scenario, notes = _scenario(run)
+    scenario, notes = recorded_scenario(run)
     failure = None if found.failure is None else error_of(found.failure.kind, found.failure.text)
     names = [name for name in dict.fromkeys([*SIGNAL_NAMES, *run.held, *run.signals]) if name in run.signals]
     signals = Signals({name: run.signals[name] for name in names})
@@ -239,7 +239,8 @@ def _other_version(run: RecordedRun) -> list[str]:
     return [f"{made} made it: it lacks {', '.join(missing[:_NAMED])}{more}, which this one records"]
 
 
-def _scenario(run: RecordedRun) -> tuple[Scenario | None, list[str]]:
+def recorded_scenario(run: RecordedRun) -> tuple[Scenario | None, list[str]]:
+    """Return the scenario of a run, None where the recording does not hold it or this version cannot read it; why."""
     values, name = scenario_of(run), run.properties.get("scenario_name", "")
     if not values:
         return None, ["the recording does not hold the scenario of its run"]

@@ -1,6 +1,7 @@
-"""Decodes a recording in a separate process: ``python -m hil.record.decode RUN.rrd [JSON LIST OF SIGNALS]``.
+"""Decodes a recording in a separate process: ``python -m hil.record.decode RUN.rrd SIGNALS JOURNAL``.
 
 rerun's reader aborts its whole process on some damaged files, so ``hil.record.reader`` runs this module as a child. The
+arguments after the file are JSON: a list of signals or null for all, and whether the journal is wanted. The
 answer on standard output is one line of JSON, then the values as float64, signal by signal.
 """
 
@@ -26,11 +27,20 @@ from hil.record.contents import (
 )
 from hil.record.decode_rrd import decode_rrd
 from hil.record.files import check_is_recording, later_files
-from hil.record.properties import PART_PROPERTY, RECORDER_PROPERTY, RUN_PROPERTY, SIGNALS_PROPERTY, SUMMARY_PROPERTY
+from hil.record.properties import (
+    JOURNAL,
+    PART_PROPERTY,
+    RECORDER_PROPERTY,
+    RUN_PROPERTY,
+    SIGNALS_PROPERTY,
+    SUMMARY_PROPERTY,
+)
 from hil.record.started_process import refuse_pandas
 
 
-def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dict[str, Series]]:
+def decode(
+    path: Path, selection: Selection = None, *, with_journal: bool = False
+) -> tuple[dict[str, Any], dict[str, Series]]:
     """Return the contents of a recording and its later files, and their signals by name. Raises DamagedError.
 
     The contents are the answer's first line: ``signals`` names the signals in the order of their values, each with
@@ -56,6 +66,7 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
     if len(files) > 1:
         spanned = list(zip(parts, spans, strict=True))
         signals = {name: np.concatenate([one.signals[name][:count] for one, count in spanned]) for name in signals}
+    events = [event for one, count in zip(parts, event_spans, strict=True) for event in one.events[:count]]
     recorder = json_property(last.properties, RECORDER_PROPERTY)
     rows = len(next(iter(signals.values()), ()))
     if not rows:
@@ -72,7 +83,8 @@ def decode(path: Path, selection: Selection = None) -> tuple[dict[str, Any], dic
         signals=list(signals),
         held=[name for names in (json_property(first.properties, SIGNALS_PROPERTY) or {}).values() for name in names],
         rows=rows,
-        events=[event for one, count in zip(parts, event_spans, strict=True) for event in one.events[:count]],
+        events=[event for event in events if event[1] != JOURNAL],
+        journal=[text for _, level, text in events if level == JOURNAL] if with_journal else [],
         properties=first.properties.get(RUN_PROPERTY, {}),
         summary=json_property(last.properties, SUMMARY_PROPERTY),
         rows_dropped=None if recorder is None else recorder.get("rows_dropped"),
@@ -172,7 +184,7 @@ def main() -> int:
     refuse_pandas()
     with output:
         try:
-            decoded, signals = decode(Path(sys.argv[1]), json.loads(sys.argv[2]) if len(sys.argv) > 2 else None)
+            decoded, signals = decode(Path(sys.argv[1]), json.loads(sys.argv[2]), with_journal=json.loads(sys.argv[3]))
         except (DamagedError, ImportError) as error:
             why = "damage" if isinstance(error, DamagedError) else "missing"
             output.write(json.dumps({why: str(error)}).encode() + b"\n")

@@ -30,8 +30,8 @@ from hil.record.contents import (
     numbered_rows,
     why_nothing,
 )
-from hil.record.mcap_file import CDR_HEADER, EVENTS_TOPIC, LOG_LEVELS, SIGNALS_TOPIC, ZERO_KEY, log_fields
-from hil.record.properties import RECORDER_PROPERTY, SIGNALS_PROPERTY
+from hil.record.mcap_file import CDR_HEADER, LOG_LEVELS, SIGNALS_TOPIC, ZERO_KEY, log_fields
+from hil.record.properties import EVENTS_PATH, JOURNAL, JOURNAL_PATH, RECORDER_PROPERTY, SIGNALS_PROPERTY
 
 _LEVEL_NAMES = {number: {"warning": "WARN"}.get(name, name.upper()) for name, number in LOG_LEVELS.items()}
 _LONGEST_RECORD_BYTES = 256 << 20
@@ -232,9 +232,10 @@ class _Reader:
 
     def _message(self, message: Message) -> None:
         topic = self._topics.get(message.channel_id)
-        if topic == EVENTS_TOPIC:
+        if topic in (EVENTS_PATH, JOURNAL_PATH):
             level, text = _log(message.data)
-            event = ((message.log_time - self._zero_ns) / 1e9, _LEVEL_NAMES.get(level, "INFO"), text)
+            name = JOURNAL if topic == JOURNAL_PATH else _LEVEL_NAMES.get(level, "INFO")
+            event = ((message.log_time - self._zero_ns) / 1e9, name, text)
             self._events.append((message.sequence if self._properties.has_checks else None, event))
         elif topic == SIGNALS_TOPIC and self._names is not None:
             values = np.frombuffer(message.data, "<f8", count=len(self._names), offset=len(CDR_HEADER))

@@ -29,7 +29,7 @@ from hil.record.contents import (
     why_nothing,
 )
 from hil.record.files import has_end
-from hil.record.properties import OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
+from hil.record.properties import EVENTS_PATH, JOURNAL_PATH, OVERLAY_PROPERTY, SIGNALS_PATH, SIGNALS_PROPERTY
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -116,7 +116,7 @@ class _Entities:
         try:
             if entity.startswith(_PROPERTIES):
                 self._add_property(entity.removeprefix(_PROPERTIES), columns)
-            elif entity == "/events":
+            elif entity in (EVENTS_PATH, JOURNAL_PATH):
                 self._add_events(columns)
             else:
                 self._add_rows(entity, columns)
@@ -244,7 +244,7 @@ def _decoded(path: Path, selection: Selection, *, has_index: bool) -> Contents:
         warnings.simplefilter("ignore")  # "has no footer": it has none after a kill
         try:
             stream = _indexed(rrc.RrdReader(readable))
-            for chunk in stream().filter(content=["/__properties/**", "/events"]):
+            for chunk in stream().filter(content=["/__properties/**", EVENTS_PATH, JOURNAL_PATH]):
                 entities.add(chunk)
             if (found := entities.find_signals(selection)) is None:
                 raise DamagedError(why_nothing(_stores(readable)[1], cut_bytes))

@@ -20,6 +20,9 @@ from mcap.writer import CompressionType, Writer
 from hil.record.checks import NUMBERS, Contained
 from hil.record.properties import (
     APPLICATION,
+    EVENTS_PATH,
+    JOURNAL,
+    JOURNAL_PATH,
     PART_PROPERTY,
     RECORDER_PROPERTY,
     RUN_PROPERTY,
@@ -31,7 +34,6 @@ from hil.record.ring import Rows
 from hil.record.viewing import MakeFrames
 
 SIGNALS_TOPIC = "/hil"
-EVENTS_TOPIC = "/events"
 ZERO_KEY = "zero_unix_ns"
 CDR_HEADER = b"\0\1\0\0"  # little-endian
 LOG_LEVELS = {"debug": 10, "info": 20, "warning": 30, "error": 40}
@@ -96,7 +98,8 @@ class McapFile:
         self._property(SIGNALS_PROPERTY, {"json": json.dumps(held), ZERO_KEY: str(zero_unix_ns)})
         self._property(PART_PROPERTY, {"json": json.dumps(part)})
         self._rows = self._channel(SIGNALS_TOPIC, Definition("hil/msg/Row", _definition(tree)))
-        self._events = self._channel(EVENTS_TOPIC, LOG)
+        self._events = self._channel(EVENTS_PATH, LOG)
+        self._journal = self._channel(JOURNAL_PATH, LOG)
         self._frames = None if make_frames is None else make_frames(signals, scenario_values(properties))
         self._topics: dict[str, int] = {}
         if self._frames is not None:
@@ -129,7 +132,8 @@ class McapFile:
         self._writer.flush()
         stamp_ns = self._stamp_ns(t_s)
         log = log_message(stamp_ns, LOG_LEVELS.get(level, LOG_LEVELS["info"]), APPLICATION, text)
-        self._writer.add_message(self._events, stamp_ns, log, stamp_ns, self._contained.add_event() % NUMBERS)
+        channel = self._journal if level == JOURNAL else self._events
+        self._writer.add_message(channel, stamp_ns, log, stamp_ns, self._contained.add_event() % NUMBERS)
         self._writer.flush()
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:

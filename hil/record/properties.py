@@ -14,6 +14,10 @@ OVERLAY_PROPERTY = "overlay"
 """The two recordings that an overlay file compares; such a file is only for the viewer, not a recording of a run."""
 SIGNALS_PATH = "/signals"
 """The entity of an .rrd file that holds every signal of every row."""
+EVENTS_PATH, JOURNAL_PATH = "/events", "/journal"
+"""The entity, or the topic, of the event log, and that of the journal."""
+JOURNAL = "journal"
+"""The level of an event that is a piece of the journal (``hil.record.journal``)."""
 PART_PROPERTY = "part"
 """Which part of a recording the file is: ``recording_id``, ``number`` from 1, ``first_row`` and ``first_event``.
 

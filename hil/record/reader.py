@@ -40,6 +40,7 @@ class RecordedRun:
         is_damaged: whether something of it could not be read; ``notes`` tell what.
         is_continued: whether the run continued in a file that was not read.
         held: the names of all signals of the recording, read or not.
+        journal: the pieces of its controller's journal (``hil.record.journal``), if they were asked for.
         notes: sentences on what is missing in the files, or could not be read.
     """
 
@@ -54,18 +55,20 @@ class RecordedRun:
     is_continued: bool = False
     parts: tuple[Path, ...] = ()
     held: tuple[str, ...] = ()
+    journal: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
+def read(path: Path, signals: Collection[str] | None = None, *, with_journal: bool = False) -> RecordedRun:
     """Read a recording made by ``hil run``, with its later files when it is the first of several.
 
-    ``signals`` names the signals to read, for a long run that would not fit memory; None reads all.
+    ``signals`` names the signals to read, for a long run that would not fit memory; None reads all. ``with_journal``
+    reads the journal of its controller too.
 
     Raises BadInputError when the file is missing, empty, damaged, or not a recording by this program.
     """
     check_is_recording(path)
-    selection = [] if signals is None else [json.dumps(sorted(signals))]
+    selection = json.dumps(None if signals is None else sorted(signals)), json.dumps(with_journal)
     # In a separate process: rerun aborts its process on some damaged files, and leaves its temporary files behind.
     with (
         scratch_folder("read") as scratch,
@@ -92,6 +95,7 @@ def read(path: Path, signals: Collection[str] | None = None) -> RecordedRun:
     del head["rows"]
     head["signals"] = dict(zip(head["signals"], table, strict=True))
     head["events"] = tuple(Event(*event) for event in head["events"])
+    head["journal"] = tuple(head["journal"])
     head["parts"] = tuple(map(Path, head["parts"]))
     return RecordedRun(path=path, **head)
 

@@ -116,9 +116,17 @@ class RingProcess:
             raise DeviceError(f"the recorder did not start: {self.troubles[-1]}; run without a recording to go on")
 
     def send(self, record: Mapping[str, object]) -> None:
-        """Send a line. Never waits, neither for the process nor for its restart."""
+        """Send a line. Waits for room in the pipe where ``put`` waits for room in the ring, and never for a restart."""
+        stall = StallTimeout(_STALL_WAITS)
+        while self._waits and not self._gone.is_set() and not self._has_room():
+            if not stall.wait((self._child.lines.kept_back, self.restarts)):
+                break
         self._unsent.append(record)
         self._send_waiting()
+
+    def _has_room(self) -> bool:
+        with self._swap:
+            return not self._takes_lines or self._child.lines.flush()
 
     def end(self, summary: Mapping[str, object], *, keep_live: bool = False) -> dict[str, Any]:
         """Send the last line, with the run's summary, and return the process's report.

@@ -17,6 +17,9 @@ from hil.core.printable import printable
 from hil.record.checks import WORDS, Contained, Words, WrittenBytes, event_check, numbered, row_crcs
 from hil.record.properties import (
     APPLICATION,
+    EVENTS_PATH,
+    JOURNAL,
+    JOURNAL_PATH,
     PART_PROPERTY,
     RECORDER_PROPERTY,
     RUN_PROPERTY,
@@ -28,7 +31,7 @@ from hil.record.ring import Rows
 from hil.record.viewing import MakeDrawing
 
 _DRAWN_AT_ONCE = 2000
-_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
+_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", JOURNAL: JOURNAL}
 _FLUSH_TIMEOUT_S = 10.0
 
 Times = npt.NDArray[np.float64]
@@ -144,8 +147,9 @@ class Stream:
         number, t_ns = self._contained.add_event(), int(nanoseconds(np.array([t_s]))[0])
         checks = _words(np.array([event_check(number, t_ns, level, text)], np.uint64))
         index = [seconds_index(np.array([t_s]))]
-        self._rerun.send_columns("/events", index, [*rr.TextLog.columns(text=[text], level=[level]), *checks])
-        if self._drawing is not None:
+        entity = JOURNAL_PATH if level == JOURNAL else EVENTS_PATH
+        self._rerun.send_columns(entity, index, [*rr.TextLog.columns(text=[text], level=[level]), *checks])
+        if self._drawing is not None and level != JOURNAL:
             self._drawing.event(t_s, level, text)
 
     def finish(self, summary: Mapping[str, object] | None, recorder: Mapping[str, int]) -> None:

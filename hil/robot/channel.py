@@ -221,7 +221,7 @@ class PlainDirectChannel(DirectChannel):
 
 def open_channel(link: ConditionedLink, client: Client, on_message: Callable[[Message, int], None]) -> Channel:
     kind: type[Channel] = Channel
-    if isinstance(link.transport, DirectLink):
+    if isinstance(link.transport, DirectLink) and link.may_exchange:
         kind = PlainDirectChannel if link.is_plain else DirectChannel
     elif isinstance(link.transport, StreamLink) and link.is_plain:
         kind = LineChannel

@@ -35,8 +35,9 @@ _ARMING_DONE, _ARMING_NEW_NONCE, _ARMING_REFUSED, _ARMING_LATCHED = 0, 4, 6, 7
 class Stm32(Device):
     """A robot with the protocol of wheel.dbc, at the other end of a link.
 
-    ``nonces`` are the session nonces to use, in order. Raises DeviceError when the robot does not answer, refuses
-    or stops; BadInputError when it does not match the scenario, or the host library cannot be loaded.
+    ``nonces`` are the session nonces to use, in order. ``keep`` gets the packed frames that were sent and received,
+    piece by piece. Raises DeviceError when the robot does not answer, refuses or stops; BadInputError when it does not
+    match the scenario, or the host library cannot be loaded.
     """
 
     report: RobotReport
@@ -50,6 +51,7 @@ class Stm32(Device):
         nonces: Iterator[int],
         wheel_map: WheelMap,
         imu: ImuMount | None = None,
+        keep: Callable[[bytes, bytes], None] | None = None,
     ) -> None:
         super().__init__(link, is_lockstep=expected.lockstep)
         self._mode = mode
@@ -61,6 +63,7 @@ class Stm32(Device):
             self._client = Client(m.Mode(mode), expected.parameter_hash & 0xFF, next(nonces), Feedback, Wheels)
         except BuildError as error:
             raise BadInputError(str(error)) from error
+        self._client.keep = keep
         self._client.wire(wheel_map.wheel_of_channel, wheel_map.sign_of_channel)
         self.link_figures = self._client.link_figures
         self._channel = channel = open_channel(link, self._client, self._on_message)
@@ -78,14 +81,14 @@ class Stm32(Device):
 
     def connect(self) -> RobotInfo:
         greeting = Greeting()
-        self._accept(handshake.greet(self._link, greeting))
+        self._accept(handshake.greet(self._link, greeting), greeting)
         for page in greeting.frames:
             self._client.take(packed_of([page]), 0, 0)
         self._synchronise_tick()
         assert self._info is not None
         return self._info
 
-    def _accept(self, info: RobotInfo) -> None:
+    def _accept(self, info: RobotInfo, greeting: Greeting) -> None:
         """Accept the answer to HELLO. Raises BadInputError if the scenario or the run is of another robot."""
         handshake.check(info, self._expected)
         if self._info is not None and not self._info.is_same_robot(info):
@@ -93,6 +96,8 @@ class Stm32(Device):
                 f"another robot answers on the link: {info.describe()}; the run began with {self._info.describe()}; "
                 "plug in the first one, or start a new run"
             )
+        if self._client.keep is not None:  # its log has no HELLO
+            self._client.keep(b"", packed_of(greeting.frames))
         self._info = info  # the fault record and reset cause may be new
         self._is_accepted = True
 
@@ -278,7 +283,7 @@ class Stm32(Device):
 
     def _on_message(self, message: Message, stamp_ns: int) -> None:
         if self._greeting is not None and (info := self._greeting.feed(message)) is not None:
-            self._accept(info)
+            self._accept(info, self._greeting)
             self._greeting = None
         elif isinstance(message, m.TimeSyncResponse):
             self.clock_sync.answered(message.sequence, message.received_us, message.held_us, stamp_ns)

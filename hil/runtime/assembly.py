@@ -31,6 +31,7 @@ from hil.wire.url import parse_link
 if TYPE_CHECKING:
     # Only of a run that is recorded or traced.
     from hil.core.outputs import Existing
+    from hil.record.journal import Journal
     from hil.record.recording import RunRecording
     from hil.runtime.realtime import RealTime
     from hil.wire.trace import Trace
@@ -144,13 +145,14 @@ class _Run:
         self._is_lockstep = scenario.loop.mode == "lockstep"
         self._warn(self._feasibility.sentences)
         self._trace: Trace | None = None
+        self._journal = self._make_journal()
         self._recording: RunRecording | None = None
 
     def open(self, resources: contextlib.ExitStack) -> None:
         """Open the robot and the outputs, and make the loop. Raises as ``run``."""
         scenario, options, laws = self._scenario, self._options, self._parts.laws
         url = parse_link(scenario.link.url)
-        if url.device_name() is not None:
+        if url.device_name() is not None and options.replayed is None:
             from hil.wire.device_lock import device_held
 
             resources.enter_context(device_held(url, f"hil run {scenario.name}"))
@@ -164,6 +166,8 @@ class _Run:
             make_node=options.make_node,
             make_robot=options.make_robot,
             instrument=options.instrument,
+            replayed=options.replayed,
+            journal=self._journal,
             signals=laws.signals,
         )
         self._bench = resources.enter_context(bench)
@@ -172,11 +176,20 @@ class _Run:
         self._warn(bench.warnings)
         if options.is_recorded:
             self._recording = resources.enter_context(self._open_recording())
+            if self._journal is not None:
+                self._journal.begin(self._recording.event)
             self._recording.event(0.0, "info", f"robot: {robot.describe()}")
             self._recording.event(0.0, "info", f"link: {bench.device.describe_link()}")
             for sentence in (*self._feasibility.sentences, *bench.warnings):
                 self._recording.event(0.0, "warning", sentence)
         self._loop = self._make_loop()
+
+    def _make_journal(self) -> "Journal | None":
+        if self._options.record is None or not self._scenario.record.frames:
+            return None
+        from hil.record.journal import Journal
+
+        return Journal()
 
     def _open_trace(self, path: Path) -> "Trace":
         from hil.wire.trace import Trace
@@ -222,7 +235,7 @@ class _Run:
         faults = [table.row for table in scenario.fault]
         watches = any(row.stops is not None for row in scenario.expect)
         self._rejections = Rejections(self._bench.device, faults, self._parts.timing, names, watches=watches)
-        sinks: list[Sink | None] = [self._memory, self._recording]
+        sinks: list[Sink | None] = [self._memory, self._recording, self._journal]
         sinks += [sink for sink in (self._events, self._rejections) if sink.needs_rows]
         parts = self._parts.make(self._bench, [sink for sink in sinks if sink is not None], note)
         if (instrument := self._options.instrument) is not None:
@@ -298,6 +311,8 @@ class _Run:
             trace=None if self._trace is None else self._trace.finish(),
         )
         linger = self._options.linger
+        if self._journal is not None:
+            self._journal.flush()
         if self._recording is not None:
             run = close_recording(self._recording, loop.t_s, scenario.allow, run, keep_live=linger is not None)
         if linger is not None:

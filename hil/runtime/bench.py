@@ -3,19 +3,21 @@
 import contextlib
 import random
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, Self
 
 from firmware_protocol.host import parameter_hash
 from hil.core.clock import TICK_NS, LockstepClock, WallClock
 from hil.core.errors import BadInputError, HilError, LinkError
 from hil.core.extensions import Extensions
-from hil.core.ports import Clock, Link, PoseSource
+from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.core.signals import SIGNAL_NAMES
 from hil.core.types import Pose
 from hil.core.wheel_map import ImuMount
 from hil.estimation.estimators import make_fixes
 from hil.plant.child_output import ChildOutput
+from hil.robot.direct import DirectLink
 from hil.robot.handshake import Expected
 from hil.robot.port import Device, Identity
 from hil.robot.stm32 import Stm32
@@ -31,7 +33,7 @@ from hil.runtime.robots import (
     start_pose,
     wheel_map,
 )
-from hil.runtime.run_options import Instrument
+from hil.runtime.run_options import Instrument, Replayed
 from hil.scenario import Scenario
 from hil.scenario.commission import require_commissioned
 from hil.scenario.plant import WiringTable
@@ -39,6 +41,7 @@ from hil.wire.conditions import ConditionedLink
 from hil.wire.link_statistics import observe
 
 if TYPE_CHECKING:
+    from hil.record.journal import Journal
     from hil.wire.trace import Trace
 
 NS = 1_000_000_000
@@ -46,11 +49,17 @@ NS = 1_000_000_000
 _SESSIONS = Extensions("hil.sessions")
 
 
+class RobotHere(Protocol):
+    """A robot in this process. ``advance`` lets a number of ticks pass, for motor controllers in lockstep."""
+
+    advance: Callable[[int], None] | None
+
+
 class OpenSession(Protocol):
     """Opens the session with third-party motor controllers; registered as ``makers`` in the group ``hil.sessions``.
 
-    ``local`` is the robot if it is in this process. What watches over one elsewhere is ended by ``guarding``, which is
-    closed after the link.
+    ``local`` is the robot if it is in this process, or a recorded one. What watches over one elsewhere is ended by
+    ``guarding``, which is closed after the link.
     """
 
     def __call__(
@@ -58,7 +67,7 @@ class OpenSession(Protocol):
         scenario: Scenario,
         link: ConditionedLink,
         clock: Clock,
-        local: LocalRobot | None,
+        local: "RobotHere | None",
         guarding: contextlib.ExitStack,
         *,
         allow_motion: bool,
@@ -71,7 +80,8 @@ class Bench:
     If the link is within this process, the virtual robot is made here too. Otherwise the robot is elsewhere, and
     ``truth`` is the URL of its truth socket, if it has one. ``trace`` records the frames on the wire. ``make_robot``
     makes a robot in this process, ``make_node`` its firmware. ``instrument`` changes the link. ``signals`` names the
-    run's signals. ``wiring_is_unknown`` is for what finds out how a robot is wired: anything else may not move one
+    run's signals. ``replayed`` takes the place of the robot. ``journal`` keeps what the session is told and sends.
+    ``wiring_is_unknown`` is for what finds out how a robot is wired: anything else may not move one
     whose commissioning was begun and is not done.
 
     Raises BadInputError, LinkError or DeviceError when a part cannot be opened.
@@ -95,6 +105,8 @@ class Bench:
         make_node: MakeNode | None = None,
         make_robot: MakeRobot = new_robot,
         instrument: Instrument | None = None,
+        replayed: Replayed | None = None,
+        journal: "Journal | None" = None,
         signals: Sequence[str] = SIGNAL_NAMES,
     ) -> None:
         self._scenario = scenario
@@ -105,15 +117,19 @@ class Bench:
         self._uncommissioned: str | None = None
         self.truth: PoseSource | None = None
         self.device: Device
-        self.clock: Clock = LockstepClock() if self._is_lockstep else WallClock()
+        self._journal, self._replayed = journal, replayed
+        self._keep = None if journal is None else journal.logs
+        self.clock: Clock = LockstepClock() if self._is_lockstep else self._real_clock()
         rows = [table.row for table in scenario.fault]
         self.faults = RunFaults(rows, scenario.loop.seed, self.clock, signals, self._protocol)
         with contextlib.ExitStack() as resources:
-            self.fixes = make_fixes(scenario.estimator, scenario.loop.seed, scenario.link.feedback_latency_ns)
+            self.fixes = self._open_fixes()
             if self.fixes is not None:
                 resources.callback(self.fixes.close)
             guarding = contextlib.ExitStack()
-            if link_of(scenario).is_within_process:
+            if replayed is not None:
+                self.truth, link = replayed.truth(), replayed.link(self.clock)
+            elif link_of(scenario).is_within_process:
                 self._check_no_truth(truth)
                 self.local = local = LocalRobot(scenario, self.faults, make_node, make_robot, resources)
                 self.truth, link = local.truth, local.link
@@ -124,20 +140,43 @@ class Bench:
                 resources.enter_context(guarding)  # released only after the link was closed
                 link = link_of(scenario).open_host(self.faults.line, self._protocol)
                 resources.callback(link.close)
+            if journal is not None and self.truth is not None:
+                from hil.record.journal import KeptTruth
+
+                self.truth = KeptTruth(self.truth, journal, self.clock)
             conditioned = self._conditioned(link, trace, instrument)
             resources.callback(conditioned.close)
             if scenario.device.is_makers:
                 subject = f"device.driver = {scenario.device.driver!r}"
                 open_session: OpenSession = _SESSIONS.load("makers", subject)
-                self.device = open_session(
-                    scenario, conditioned, self.clock, self.local, guarding, allow_motion=allow_motion
-                )
+                here = self.local or replayed
+                self.device = open_session(scenario, conditioned, self.clock, here, guarding, allow_motion=allow_motion)
             else:
                 self.device = self._stm32(conditioned, allow_motion=allow_motion)
             if isinstance(self.clock, LockstepClock):
                 self.clock.step = self.device.step
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
+
+    def _real_clock(self) -> Clock:
+        if self._replayed is not None:
+            return self._replayed.clock
+        if self._journal is None:
+            return WallClock()
+        from hil.wire.kept import KeptClock
+
+        return KeptClock(self._journal)
+
+    def _open_fixes(self) -> FixSource | None:
+        scenario = self._scenario
+        if self._replayed is not None:
+            return self._replayed.fixes()
+        fixes = make_fixes(scenario.estimator, scenario.loop.seed, scenario.link.feedback_latency_ns)
+        if fixes is None or self._journal is None:
+            return fixes
+        from hil.record.journal import KeptFixes
+
+        return KeptFixes(fixes, self._journal, self.clock)
 
     def _check_no_truth(self, truth: str | None) -> None:
         if truth is not None:
@@ -171,7 +210,10 @@ class Bench:
         if trace is not None:
             trace.begin(time.time_ns() - self.clock.now_ns())
         self.wire = observe(link, url, self.clock, trace)
-        return ConditionedLink(
+        if self._replayed is not None:  # what it tells has passed the conditions already
+            return self._replayed.conditioned(link, self.clock, self._protocol)
+        make = partial(
+            ConditionedLink,
             link if instrument is None else instrument.link(link),
             self.clock,
             command_latency_ns=latency.command_latency_ns,
@@ -182,19 +224,28 @@ class Bench:
             observer=self.wire if self.wire.is_needed else None,
             protocol=self._protocol,
         )
+        conditioned = make()
+        # In lockstep our protocol's client keeps a log in C, at no cost, but without times of arrival.
+        if self._journal is None or (conditioned.is_plain and isinstance(link, DirectLink)):
+            return conditioned
+        from hil.wire.kept import KeptLink
+
+        self._keep = None
+        return KeptLink(self._journal, *make.args, **make.keywords)
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
         scenario = self._scenario
         expected = Expected(
             parameter_hash(firmware_values(scenario)),
             self._is_lockstep,
-            allow_motion or self.local is not None,
+            allow_motion or self.local is not None or self._replayed is not None,
             scenario.robot.speed_limit_rad_s,
         )
         nonces = _nonces(scenario.loop.seed if self._is_lockstep else None)
-        return Stm32(
-            link, scenario.controller.mode, expected, nonces, wheel_map(scenario.device), ImuMount(scenario.device.imu)
-        )
+        if self._replayed is not None:
+            nonces = self._replayed.nonces
+        wheels, imu = wheel_map(scenario.device), ImuMount(scenario.device.imu)
+        return Stm32(link, scenario.controller.mode, expected, nonces, wheels, imu, self._keep)
 
     @property
     def warnings(self) -> Sequence[str]:

@@ -1,16 +1,18 @@
 """The options of a run that are not part of its scenario."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from hil.core.ports import Link
+from hil.core.link_protocol import LinkProtocol
+from hil.core.ports import Clock, FixSource, Link, PoseSource
 from hil.robot.virtual import MakeNode, MakeRobot, new_robot
 from hil.runtime.loop import Loop
 from hil.runtime.tick import TickParts
 from hil.scenario import Scenario
+from hil.wire.conditions import ConditionedLink
 
 if TYPE_CHECKING:
     from hil.core.outputs import Existing
@@ -34,6 +36,32 @@ class Instrument(Protocol):
         """Return the parts of a tick."""
 
 
+class Replayed(Protocol):
+    """What a controller is told in place of a robot: ``hil replay`` passes a recorded run. Nothing can move.
+
+    Attributes:
+        clock: the clock in real time; in lockstep the run has its own.
+        nonces: the session nonces that the recorded run used, in order.
+        advance: lets a number of ticks pass, in lockstep; None in real time.
+    """
+
+    clock: Clock
+    nonces: Iterator[int]
+    advance: Callable[[int], None] | None
+
+    def link(self, clock: Clock) -> Link:
+        """Return the link, whose other end is the recorded robot."""
+
+    def conditioned(self, link: Link, clock: Clock, protocol: LinkProtocol) -> ConditionedLink:
+        """Return the link as the session uses it."""
+
+    def truth(self) -> PoseSource | None:
+        """Return the source of the recorded true poses, if the run had one."""
+
+    def fixes(self) -> FixSource | None:
+        """Return the source of the recorded pose fixes, if the run had one."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """Options of a run that are not part of the scenario.
@@ -51,6 +79,7 @@ class RunOptions:
         on_stuck: called with a sentence, in its own thread, before this process is ended because the law takes too long
             and cannot be interrupted (``hil.core.tick_watch``).
         instrument: changes parts of the run, None for none.
+        replayed: takes the place of the robot, None for none.
         make_robot, make_node: make a robot in this process, and its firmware. make_recording: makes the recording.
         keep_signals: False leaves signals out of the result, so that memory does not grow with the run. Extra signals
             are then computed only if something else reads them.
@@ -69,6 +98,7 @@ class RunOptions:
     linger: Callable[[], None] | None = None
     on_stuck: Callable[[str], None] | None = None
     instrument: Instrument | None = None
+    replayed: Replayed | None = None
     make_node: MakeNode | None = None
     make_robot: MakeRobot = new_robot
     make_recording: "Callable[..., RunRecording] | None" = None

@@ -26,7 +26,7 @@ SUFFIX = ".baseline.toml"
 FORMAT = 2
 """Version of the hash in a baseline."""
 _NOT_ASKED = (
-    *("plant.", "firmware.", "device.", "realtime.", "service.", "allow.", "expect."),
+    *("plant.", "firmware.", "device.", "realtime.", "service.", "record.", "allow.", "expect."),
     *("link.url", "loop.seed", "loop.mode", "loop.tick_limit_s"),
 )
 _HEAD = """\

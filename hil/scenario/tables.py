@@ -227,6 +227,13 @@ class RealtimeTable:
 
 
 @dataclass(frozen=True)
+class RecordTable:
+    """``[record]``: what a recording of a run has besides its signals and events."""
+
+    frames: Annotated[bool, "also what the robot and its sensors told, so that `hil replay` can repeat the run"] = True
+
+
+@dataclass(frozen=True)
 class ServiceTable:
     """``[service]``: settings of `hil serve`; the limits are those of twists and of the way to a pose."""
 
@@ -282,6 +289,7 @@ class Tables:
     loop: LoopTable
     realtime: RealtimeTable = RealtimeTable()
     service: ServiceTable = ServiceTable()
+    record: RecordTable = RecordTable()
     allow: AllowTable = field(default_factory=AllowTable)
     commission: CommissionTable = field(default_factory=CommissionTable)
     fault: tuple[FaultTable, ...] = ()

@@ -35,6 +35,7 @@ class ConditionedLink:
         clock: the clock of the run.
         is_plain: whether frames pass unchanged, at once and unobserved in both directions.
         may_hold: whether commands can be delayed at all; if not, nothing is ever due.
+        may_exchange: whether ``exchange`` may be called.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class ConditionedLink:
         self.may_hold = acts_out or command_latency_ns > 0
         self._changes_feedback = acts_in or bus is not None or feedback_latency_ns > 0
         self.is_plain = not (observer or bus or self.may_hold or self._changes_feedback)
+        self.may_exchange = True
         self._send_packed = link.send_packed if isinstance(link, PackedLink) and bus is None else None
 
     def _put(self, frames: Sequence[Frame]) -> None:
@@ -104,6 +106,9 @@ class ConditionedLink:
 
     def send_all(self, frames: Sequence[Frame]) -> None:
         """Send frames, in order. Raises LinkError when the link is lost."""
+        self._send(frames)
+
+    def _send(self, frames: Sequence[Frame]) -> None:
         if not self.may_hold:
             self._put(frames)
             return
@@ -113,7 +118,7 @@ class ConditionedLink:
                 self._put(frames)
                 return
             for frame in frames:  # in their order
-                self.send_all((frame,))
+                self._send((frame,))
         elif self._command_latency_ns:
             self._out.hold(frames, self.clock.now_ns() + self._command_latency_ns, Stage.LATENCY_BEFORE_ROWS)
         else:

@@ -24,7 +24,7 @@ from hil.robot.driver_registry import dialect
 from hil.robot.handshake import SILENCE_NS
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
-from hil.runtime.local_robot import LocalRobot
+from hil.runtime.bench import RobotHere
 from hil.runtime.robots import link_of, wheel_map
 from hil.scenario import Scenario
 from hil.scenario.motor_checks import make_driver
@@ -330,7 +330,7 @@ def open_session(
     scenario: Scenario,
     link: ConditionedLink,
     clock: Clock,
-    local: LocalRobot | None,
+    local: RobotHere | None,
     guarding: contextlib.ExitStack,
     *,
     allow_motion: bool,

@@ -1,0 +1,78 @@
+"""A link and a clock whose session the journal of a recording keeps (``hil.record.journal``)."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from firmware_protocol.framing import Frame
+from hil.core.clock import WallClock
+from hil.core.errors import LinkError
+from hil.core.ports import Received
+from hil.record.journal import Journal, Kind
+from hil.wire.conditions import ConditionedLink
+
+
+class KeptLink(ConditionedLink):
+    """A link with its conditions, and a journal of what passes above them. Other arguments: ``ConditionedLink``."""
+
+    def __init__(self, journal: Journal, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.is_plain = self.may_exchange = False  # the journal sees each frame
+        self._journal = journal
+        self._told: LinkError | None = None
+
+    def send_all(self, frames: Sequence[Frame]) -> None:
+        try:
+            super().send_all(frames)
+        except LinkError as error:
+            self._lost(error)
+            raise
+        self._journal.frames(Kind.SENT, self.clock.now_ns(), 0, frames)
+
+    def receive(self, timeout_ns: int) -> Received | None:
+        try:
+            received = super().receive(timeout_ns)
+        except LinkError as error:
+            self._lost(error)
+            raise
+        now_ns = self.clock.now_ns()
+        if received is None:
+            self._journal.add(Kind.EMPTY, now_ns)
+        else:
+            kind = Kind.ARRIVED if timeout_ns > 0 else Kind.RECEIVED
+            self._journal.frames(kind, now_ns, received.stamp_ns, received.frames)
+        return received
+
+    def service(self, *, everything: bool = False) -> None:
+        try:
+            super().service(everything=everything)
+        except LinkError as error:
+            self._lost(error)
+            raise
+
+    def reopen(self) -> None:
+        try:
+            super().reopen()
+        except LinkError as error:
+            self._lost(error)
+            raise
+
+    def _lost(self, error: LinkError) -> None:
+        if error is self._told:  # by the call within this one
+            return
+        self._told = error
+        self._journal.add(Kind.LOST, self.clock.now_ns(), 0, str(error).encode("utf-8", "replace"))
+
+
+class KeptClock(WallClock):
+    """The clock of a run in real time, and a journal of its waits."""
+
+    def __init__(self, journal: Journal) -> None:
+        super().__init__()
+        self._journal = journal
+
+    def wait_until(self, t_ns: int) -> int:
+        before_ns = self.now_ns()
+        late_ns = super().wait_until(t_ns)
+        after_ns = t_ns + late_ns
+        self._journal.add(Kind.WAITED, before_ns, t_ns, after_ns.to_bytes(8, "little", signed=True))
+        return late_ns
