@@ -35,7 +35,7 @@ class Kind(IntEnum):
     their time of arrival. ``ARRIVED``: as received, in a call that waited for them. ``EMPTY``: nothing was left to
     read. ``WAITED``: until the second time; its body is the time after it. ``LOST``: the link was, with the reason.
     ``LOGS``: what our protocol's client in C has sent and received in lockstep since the last one. ``TRUTH``,
-    ``FIXES``: what one call of a source returned.
+    ``FIXES``: what one call of a source returned. ``READ``: the clock was, in real time.
     """
 
     SENT = 1
@@ -47,6 +47,7 @@ class Kind(IntEnum):
     LOGS = 7
     TRUTH = 8
     FIXES = 9
+    READ = 10
 
 
 class Entry(NamedTuple):

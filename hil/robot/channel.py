@@ -97,7 +97,7 @@ class Channel:
         while taken < _MOST_FRAMES and (received := self._link.receive(0)) is not None:
             self.take(received)
             taken += len(received.frames)
-        now_ns = self._link.clock.now_ns()
+        now_ns = self._link.session_clock.now_ns()
         if self._client.poll(now_ns):
             self.flush()
         return now_ns if taken < _MOST_FRAMES else None
@@ -160,7 +160,7 @@ class LineChannel(Channel):
         super().__init__(link, client, on_message)
         assert isinstance(link.transport, StreamLink)
         self._line = link.transport
-        self._line.serve(client, link.clock, self._attend_from)
+        self._line.serve(client, link.session_clock, self._attend_from)
 
     def flush(self, *, everything: bool = False) -> None:
         try:

@@ -185,7 +185,8 @@ class _Run:
         self._loop = self._make_loop()
 
     def _make_journal(self) -> "Journal | None":
-        if self._options.record is None or not self._scenario.record.frames:
+        options = self._options
+        if options.record is None or options.replayed is not None or not self._scenario.record.frames:
             return None
         from hil.record.journal import Journal
 

@@ -119,9 +119,10 @@ class Bench:
         self.device: Device
         self._journal, self._replayed = journal, replayed
         self._keep = None if journal is None else journal.logs
-        self.clock: Clock = LockstepClock() if self._is_lockstep else self._real_clock()
+        self._own_clock: Clock = LockstepClock() if self._is_lockstep else WallClock()
+        self.clock = self._session_clock()
         rows = [table.row for table in scenario.fault]
-        self.faults = RunFaults(rows, scenario.loop.seed, self.clock, signals, self._protocol)
+        self.faults = RunFaults(rows, scenario.loop.seed, self._own_clock, signals, self._protocol)
         with contextlib.ExitStack() as resources:
             self.fixes = self._open_fixes()
             if self.fixes is not None:
@@ -143,7 +144,7 @@ class Bench:
             if journal is not None and self.truth is not None:
                 from hil.record.journal import KeptTruth
 
-                self.truth = KeptTruth(self.truth, journal, self.clock)
+                self.truth = KeptTruth(self.truth, journal, self._own_clock)
             conditioned = self._conditioned(link, trace, instrument)
             resources.callback(conditioned.close)
             if scenario.device.is_makers:
@@ -158,14 +159,17 @@ class Bench:
             resources.callback(self.device.close)
             self._resources = resources.pop_all()
 
-    def _real_clock(self) -> Clock:
+    def _session_clock(self) -> Clock:
+        """Return the clock of session and loop: the journal keeps in real time when they read it."""
+        if self._is_lockstep:
+            return self._own_clock
         if self._replayed is not None:
             return self._replayed.clock
         if self._journal is None:
-            return WallClock()
+            return self._own_clock
         from hil.wire.kept import KeptClock
 
-        return KeptClock(self._journal)
+        return KeptClock(self._journal, self._own_clock)
 
     def _open_fixes(self) -> FixSource | None:
         scenario = self._scenario
@@ -176,7 +180,7 @@ class Bench:
             return fixes
         from hil.record.journal import KeptFixes
 
-        return KeptFixes(fixes, self._journal, self.clock)
+        return KeptFixes(fixes, self._journal, self._own_clock)
 
     def _check_no_truth(self, truth: str | None) -> None:
         if truth is not None:
@@ -208,14 +212,14 @@ class Bench:
         """Wrap the link with its latencies, faults and statistics; the trace gets its frames from the statistics."""
         url, latency = link_of(self._scenario), self._scenario.link
         if trace is not None:
-            trace.begin(time.time_ns() - self.clock.now_ns())
-        self.wire = observe(link, url, self.clock, trace)
+            trace.begin(time.time_ns() - self._own_clock.now_ns())
+        self.wire = observe(link, url, self._own_clock, trace)
         if self._replayed is not None:  # what it tells has passed the conditions already
             return self._replayed.conditioned(link, self.clock, self._protocol)
         make = partial(
             ConditionedLink,
             link if instrument is None else instrument.link(link),
-            self.clock,
+            self._own_clock,
             command_latency_ns=latency.command_latency_ns,
             feedback_latency_ns=latency.feedback_latency_ns,
             faults=self.faults.of_frames,
@@ -231,7 +235,7 @@ class Bench:
         from hil.wire.kept import KeptLink
 
         self._keep = None
-        return KeptLink(self._journal, *make.args, **make.keywords)
+        return KeptLink(self._journal, self.clock, *make.args, **make.keywords)
 
     def _stm32(self, link: ConditionedLink, *, allow_motion: bool) -> Stm32:
         scenario = self._scenario

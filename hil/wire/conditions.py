@@ -32,7 +32,7 @@ class ConditionedLink:
 
     Attributes:
         transport: the link below.
-        clock: the clock of the run.
+        clock: the clock of the run; ``session_clock`` is the same, for who uses the link.
         is_plain: whether frames pass unchanged, at once and unobserved in both directions.
         may_hold: whether commands can be delayed at all; if not, nothing is ever due.
         may_exchange: whether ``exchange`` may be called.
@@ -52,7 +52,7 @@ class ConditionedLink:
         protocol: LinkProtocol = WHEEL_DBC,
     ) -> None:
         self.transport = link
-        self.clock = clock
+        self.clock = self.session_clock = clock
         self._time = scenario_time or ScenarioTime(clock)
         self._command_latency_ns = command_latency_ns
         self._feedback_latency_ns = feedback_latency_ns

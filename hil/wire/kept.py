@@ -4,18 +4,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from firmware_protocol.framing import Frame
-from hil.core.clock import WallClock
 from hil.core.errors import LinkError
-from hil.core.ports import Received
+from hil.core.ports import Clock, Received
 from hil.record.journal import Journal, Kind
 from hil.wire.conditions import ConditionedLink
 
 
 class KeptLink(ConditionedLink):
-    """A link with its conditions, and a journal of what passes above them. Other arguments: ``ConditionedLink``."""
+    """A link with its conditions, and a journal of what passes above them.
 
-    def __init__(self, journal: Journal, *arguments: Any, **options: Any) -> None:
+    ``session_clock`` is the clock that the session reads. Other arguments: ``ConditionedLink``.
+    """
+
+    def __init__(self, journal: Journal, session_clock: Clock, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
+        self.session_clock = session_clock
         self.is_plain = self.may_exchange = False  # the journal sees each frame
         self._journal = journal
         self._told: LinkError | None = None
@@ -49,6 +52,9 @@ class KeptLink(ConditionedLink):
             self._lost(error)
             raise
 
+    def hand_over_until(self, clock: Clock, t_ns: int) -> None:
+        super().hand_over_until(self.clock, t_ns)  # these waits are the link's
+
     def reopen(self) -> None:
         try:
             super().reopen()
@@ -63,16 +69,20 @@ class KeptLink(ConditionedLink):
         self._journal.add(Kind.LOST, self.clock.now_ns(), 0, str(error).encode("utf-8", "replace"))
 
 
-class KeptClock(WallClock):
-    """The clock of a run in real time, and a journal of its waits."""
+class KeptClock:
+    """The clock of a run in real time for its session and its loop: the journal has when it was read, and its waits."""
 
-    def __init__(self, journal: Journal) -> None:
-        super().__init__()
+    def __init__(self, journal: Journal, clock: Clock) -> None:
         self._journal = journal
+        self._clock = clock
+
+    def now_ns(self) -> int:
+        now_ns = self._clock.now_ns()
+        self._journal.add(Kind.READ, now_ns)
+        return now_ns
 
     def wait_until(self, t_ns: int) -> int:
-        before_ns = self.now_ns()
-        late_ns = super().wait_until(t_ns)
-        after_ns = t_ns + late_ns
-        self._journal.add(Kind.WAITED, before_ns, t_ns, after_ns.to_bytes(8, "little", signed=True))
+        before_ns = self._clock.now_ns()
+        late_ns = self._clock.wait_until(t_ns)
+        self._journal.add(Kind.WAITED, before_ns, t_ns, (t_ns + late_ns).to_bytes(8, "little", signed=True))
         return late_ns

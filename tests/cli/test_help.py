@@ -32,7 +32,10 @@ ANOTHER_MEANING = {
     ("--mass-kg", "hil identify fit"),  # weighed, not proposed
     *(("--pictures", f"hil {name}") for name in ("compare", "catalogue", "campaign report")),  # beside the page
     ("--port", "hil live"),  # of viewers
+    ("--record", "hil replay"),  # without a name there is none
     ("--record", "hil serve"),  # a name in its folder; none by default
+    ("--law", "hil replay"),  # alone
+    ("--scenario", "hil replay"),  # in place of the recorded one
     *(("--seed", f"hil {name}") for name in ("catalogue", "verify", "identify drive")),  # of their own choices
     ("--set", "hil ctl track"),  # an option of the reference
     ("--token-file", "hil serve"),  # which makes the token

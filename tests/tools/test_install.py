@@ -115,7 +115,6 @@ def test_a_machine_without_a_compiler_builds_installs_and_runs_the_wheel(tmp_pat
         "runtime/LIMITS.md",
         "addons/testing/PYTEST.md",
         "laws/LAWS.md",
-        "laws/REPLAY.md",
         "record/RECORDING.md",
         "faults/FAULTS.md",
         "wire/LINKS.md",

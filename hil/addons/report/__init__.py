@@ -1,4 +1,4 @@
-"""Recordings seen: the viewer's layout, reviews, two runs compared, exports, replay, traces (README.md).
+"""Recordings seen: the viewer's layout, reviews, two runs compared, exports, traces (README.md).
 
 Draws a recording in a viewer: `run_drawing.py` and the modules that it calls. To add a chart to the page of a review:
 `panels.py` (`charts.py` says what a chart is, `charts.js` draws it); an export: `review_command.py`.
@@ -22,11 +22,6 @@ COMMANDS = {
         "hil.addons.report.commands:live",
         "Open the rerun viewer on a run or service under way, and on each one after it; start it before or after "
         "those.",
-    ),
-    "replay": Command(
-        "Look",
-        "hil.addons.report.commands:replay",
-        "Open loop: feed a recording's states and references to another law, and show how its commands differ.",
     ),
     "decode": Command(
         "Look",

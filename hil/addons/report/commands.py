@@ -1,4 +1,4 @@
-"""``hil view``, ``hil live``, ``hil replay``, ``hil decode`` and ``hil export``."""
+"""``hil view``, ``hil live``, ``hil decode`` and ``hil export``."""
 
 import math
 import sys
@@ -9,8 +9,8 @@ import typer
 from typer import Argument, Option
 
 from hil.cli.commands import Group
-from hil.cli.options import LAW, LAW_HELP, LIVE_PORT, Force, InBrowser, Json, RobotFile, ScenarioName
-from hil.cli.output import drop_output, end_in_order, print_json, print_result, say, say_on_stderr, table
+from hil.cli.options import LIVE_PORT, Force, InBrowser, RobotFile, ScenarioName
+from hil.cli.output import drop_output, end_in_order, print_json, say, say_on_stderr
 from hil.core.errors import BadInputError
 
 
@@ -31,46 +31,6 @@ def live(
 
     end_in_order()
     viewer.live(port, web=web, say=say)
-
-
-def replay(
-    recording: Annotated[Path, Argument(metavar="RUN", help="recording of a run")],
-    law: Annotated[str, Option(metavar=LAW, help=LAW_HELP)],
-    as_json: Json = False,
-) -> None:
-    """Open loop: feed a recording's states and references to another law, and show how its commands differ."""
-    from hil.addons.report import replay as replayer
-    from hil.record.reader import read
-
-    run = read(recording)
-    found = replayer.replay(run, law)
-    ticks = len(run.signals["loop.t_s"])
-    figures = {
-        "open_loop": True,
-        "label": replayer.LABEL,
-        "recording": str(recording),
-        "law": found.law,
-        "gains": dict(found.gains),
-        "recorded_law": found.recorded_law,
-        "ticks": ticks,
-        "asked": found.asked,
-        "commands_refused": found.commands_refused,
-        "difference": {name: one._asdict() for name, one in found.differences.items()},
-    }
-    gains = "".join(f", {name} = {value}" for name, value in found.gains.items())
-    head = ("open loop: replayed minus recorded", "rms", "max", "at t [s]", "recorded rms")
-    rows = [
-        (name, f"{one.rms:.4g}", f"{one.max:.4g}", f"{one.max_s:.3f}", f"{one.recorded_rms:.4g}")
-        for name, one in found.differences.items()
-    ]
-    lines = [
-        f"{found.law}{gains} on {recording}, where {found.recorded_law} was in command",
-        replayer.LABEL,
-        f"{found.asked} of {ticks} ticks have a command of the law, {found.commands_refused} of them not finite",
-        "",
-        *table([head, *rows]),
-    ]
-    print_result(as_json, figures, lines)
 
 
 def decode(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import hil
-from hil.addons.report import replay as replayer
-from hil.addons.report.replay import replay
+from hil.addons.replay import law_replay as replayer
+from hil.addons.replay.law_replay import replay
 from hil.core.errors import BadInputError, OverdueError
 from hil.core.types import WHEEL_NAMES
 from hil.record.reader import read
