@@ -105,6 +105,7 @@ SLOW = (
     "test_signal_differences.py::test_the_review_of_two_runs_says_so_in_json_in_text_and_on_the_page",
     "test_review.py::test_a_recording_with_a_damaged_index_is_read_without_it",
     "test_three_plants.py::test_a_controller_within_the_grip_tracks_the_circle_on_each_plant",
+    "test_unlike_robots.py",
     "test_two_processes.py::test_an_abandoned_lockstep_robot_is_put_back_to_its_start",
     "test_verify.py::test_a_suite_is_measured_and_what_is_suggested_notices",
     "test_verify.py::test_a_verification_that_was_killed_goes_on",
