@@ -332,6 +332,7 @@ def test_their_errors_are_what_the_covariance_says() -> None:
     assert sigma == pytest.approx([0.02, 0.02, 0.01])
     distances = ((errors / sigma) ** 2).sum(axis=1)
     assert kstest(distances, chi2(3).cdf).pvalue > 0.001
+    assert np.abs((errors / sigma).mean(axis=0)).max() < 4.0 / math.sqrt(len(errors)), "they are off to no side"
 
 
 def test_one_seed_gives_one_run_and_an_option_changes_what_it_says_alone() -> None:
