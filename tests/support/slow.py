@@ -12,6 +12,7 @@ SLOW = (
     "test_arm_motors.py",
     "test_arm_real_time.py",
     "test_catalogue.py::test_an_unsafe_firmware_is_caught",
+    "test_bisect.py",
     "test_fastest.py",
     "test_fmi3_calls.py::test_a_life_passes_the_sanitizers",
     "test_fmu_build.py",

@@ -5,6 +5,7 @@ robot (``recorded_robot.py``). What they compute and send is compared with the r
 once a command differs, its answers belong to the old commands, and later differences show no more than a direction.
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -15,12 +16,13 @@ import numpy as np
 
 from hil.addons.replay.recorded_robot import FrameDifference, RecordedRobot
 from hil.core.errors import BadInputError, OverdueError
-from hil.judge.recorded import recorded_scenario
+from hil.judge.recorded import recorded_scenario, scenario_of
 from hil.record.contents import Series
 from hil.record.reader import RecordedRun
 from hil.runtime.assembly import run_scenario
 from hil.runtime.run_options import RunOptions
 from hil.scenario import Scenario
+from hil.scenario.toml_text import parse_value
 
 PARTS: Mapping[str, Sequence[str]] = {
     "feedback": ("wheel.*.speed_rad_s", "wheel.*.current_a", "wheel.*.temperature_degc", "robot.*", "battery.*"),
@@ -144,6 +146,17 @@ def replay(
         notes,
         result,
     )
+
+
+def changed(run: RecordedRun, sets: Sequence[str]) -> RecordedRun:
+    """Return a run whose recorded scenario has other values, given as KEY=VALUE. Raises BadInputError."""
+    values = scenario_of(run)
+    for text in sets:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise BadInputError(f"--set {text}: expected KEY=VALUE, as in controller.law=dsc")
+        values[key] = parse_value(value)
+    return replace(run, properties=run.properties | {"scenario": json.dumps(values)})
 
 
 def _compared(

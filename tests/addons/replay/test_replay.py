@@ -250,10 +250,19 @@ def test_a_tolerance_that_is_none_is_refused(text, run):
 
 
 def test_a_law_alone_takes_no_option_of_the_whole(run, tmp_path):
-    with pytest.raises(
-        BadInputError, match="--law replays a law alone; leave --scenario, --tolerance and --record out"
-    ):
+    with pytest.raises(BadInputError, match="--law replays a law alone; give no other option"):
         command(run.path, law="dsc", record=tmp_path / "now.rrd")
+
+
+def test_a_value_of_the_recorded_scenario_can_be_set(run, capsys):
+    with pytest.raises(Exit):
+        command(run.path, sets=["controller.gains.k1_1_s=8.01"])
+    assert capsys.readouterr().out.startswith("different: law first; ")
+    command(run.path, sets=["loop.tick_limit_s=9"])
+    with pytest.raises(BadInputError, match=r"--set loop: expected KEY=VALUE, as in controller\.law=dsc"):
+        command(run.path, sets=["loop"])
+    with pytest.raises(BadInputError, match="--bisect records no replay; leave --record out"):
+        command(run.path, bisect="a..b", record=run.path)
 
 
 COMMAND = [encode(m.WheelCommand(*speeds, 1, 2)) for speeds in ((1.0,) * 4, (2.0,) * 4)]
