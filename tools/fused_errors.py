@@ -72,15 +72,17 @@ def reach() -> Iterator[Condition]:
     for percent in (-1.0, 1.0):
         scale = {f"{START}gyro_scale": 1.0 + 0.01 * percent}
         yield Condition(f"gyro {percent:+g} %, figure of eight", scale, scenario="figure_eight")
+    filter_told = {"lasting": {"held_share": 1.0, "held_s": 2.0}, "of two maps": {"map_share": 0.5, "map_scale_m": 3.0}}
     for words, name in (
-        ("noise of fixes lasts 2 s", "lasting"),
-        ("map off by 20 mm, otherwise in each room", "of two maps"),
+        ("noise of fixes lasts 2 s, told", "lasting"),
+        ("map off by 20 mm, otherwise in each room, told", "of two maps"),
         ("twice as noisy as told", "twice as noisy"),
         ("10 % outliers by 1 m, in bursts of 1.5 s", "outliers in bursts"),
         ("corridor: 5 times the noise along it, told", "in a corridor"),
         ("300 ms late", "300 ms late"),
     ):
-        yield Condition(words, FIXES[name])
+        told = {f"estimator.filter.fix_{key}": value for key, value in filter_told.get(name, {}).items()}
+        yield Condition(words, {**FIXES[name], **told})
     yield Condition("none from 20 s to 30 s", {f"{FIX}gap_start_s": 20.0, f"{FIX}gap_end_s": 30.0})
 
 
@@ -130,7 +132,8 @@ def _believed(estimator: FusedEstimator) -> tuple[float, ...]:
     """Return x, y and their covariance xx, xy, yy, before they are released; nothing else here looks into a filter."""
     assert estimator._history is not None
     belief = estimator._history.newest
-    return belief.x_m, belief.y_m, belief.covariance.xx, belief.covariance.xy, belief.covariance.yy
+    (xx, xy), (_, yy) = belief.covariance[:2, :2].tolist()
+    return belief.pose.x_m, belief.pose.y_m, xx, xy, yy
 
 
 class Outcome(NamedTuple):

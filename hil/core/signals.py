@@ -70,9 +70,12 @@ class EstimatorSignals(NamedTuple):
     sigma_heading_rad: float
     gyro_bias_rad_s: float
     wheel_scale: float
+    left_scale: float
+    gyro_scale: float
     fix_noise: float
     fixes_accepted: float
     fixes_rejected: float
+    fix_restarts: float
     fix_age_ms: float
     slip: float
     health: float
@@ -161,10 +164,13 @@ _MEANING = {
     "estimator.sigma_position_m": "standard deviation of the estimated position, its worst direction; only fused",
     "estimator.sigma_heading_rad": "standard deviation of the estimated heading; only fused",
     "estimator.gyro_bias_rad_s": "bias of the gyro as estimated; only fused",
-    "estimator.wheel_scale": "true over believed size of the wheels, as estimated; only fused",
+    "estimator.wheel_scale": "true way forward over that of the wheels, as estimated; only fused",
+    "estimator.left_scale": "true way to the left over that of the wheels, as estimated; only fused",
+    "estimator.gyro_scale": "true turn over that of the gyro, as estimated; only fused",
     "estimator.fix_noise": "how many times noisier pose fixes are than they tell, as estimated, at least 1; only fused",
     "estimator.fixes_accepted": "pose fixes accepted so far; only fused",
     "estimator.fixes_rejected": "pose fixes rejected so far, as too far from the estimate; only fused",
+    "estimator.fix_restarts": "rows of rejected pose fixes that were believed so far: the pose jumped; only fused",
     "estimator.fix_age_ms": "age of the newest accepted pose fix; only fused",
     "estimator.slip": "1 when wheels, gyro and accelerometer disagree; no value with true poses",
     "estimator.health": "0 good, 1 degraded: no fix for too long, 2 lost: the robot is held at rest; only fused",

@@ -32,13 +32,23 @@ def _reachable(fix: str) -> str:
 
 @dataclass(frozen=True)
 class FilterOptions:
-    """``[estimator.filter]``: the filter of source "fused". Sigmas are standard deviations."""
+    """``[estimator.filter]``: the filter of source "fused". Sigmas are standard deviations.
+
+    Raises ValueError for shares of more than 1 in all.
+    """
 
     begin: Annotated[Literal["start", "fix"], "at the scenario's start pose, or unknown"] = "start"
     start_sigma_m: Annotated[float, Range(ge=0, le=100), "of the start pose, each axis"] = 0.01
     start_sigma_rad: Annotated[float, Range(ge=0, le=10), "of the start pose's heading"] = 0.01
     wheels_sigma_m: Annotated[float, Range(gt=0, le=10), "of each axis after 1 m rolled"] = 0.0003
-    wheels_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the wheels' true size over the believed one"] = 0.005
+    wheels_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the true way forward over that of the wheels"] = 0.01
+    left_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the true way to the left over that of the wheels"] = (
+        0.03
+    )
+    wheels_differ_sigma: Annotated[float, Range(ge=0, le=0.5), "of one wheel's radius over the mean of the four"] = (
+        0.006
+    )
+    gyro_scale_sigma: Annotated[float, Range(ge=0, le=0.5), "of the true turn over that of the gyro"] = 0.005
     wheels_sigma_rad: Annotated[float, Range(gt=0, le=10), "of the heading after 1 m, without gyro"] = 0.02
     gyro_noise_rad_s: Annotated[float, Range(gt=0, le=10), "of one sample of the gyro"] = 0.01
     gyro_bias_sigma_rad_s: Annotated[float, Range(ge=0, le=10), "of the gyro's bias at the start"] = 0.02
@@ -48,6 +58,10 @@ class FilterOptions:
     fix_noise_most: Annotated[
         float, Range(ge=1, le=100), "how many times noisier than they tell fixes may prove; 1: as they tell"
     ] = 4.0
+    fix_held_share: Annotated[float, Range(ge=0, le=1), "of a fix's variance, by errors that last"] = 0.0
+    fix_held_s: Annotated[float, Range(gt=0, le=3600), "their time constant"] = 2.0
+    fix_map_share: Annotated[float, Range(ge=0, le=1), "of a fix's variance, by errors of the map at a place"] = 0.0
+    fix_map_scale_m: Annotated[float, Range(gt=0, le=1000), "way after which those are others"] = 5.0
     fix_timeout_s: Annotated[float, Range(gt=0, le=3600), "age of the newest fix that counts as degraded"] = 0.5
     lost_sigma_m: Annotated[float, Range(gt=0, le=1000), "of the position, beyond which the robot is held at rest"] = (
         0.25
@@ -56,6 +70,13 @@ class FilterOptions:
     release_s: Annotated[
         float, Range(ge=0, le=10), "time constant with which the pose follows a correction; 0: it jumps"
     ] = 0.2
+
+    def __post_init__(self) -> None:
+        if self.fix_held_share + self.fix_map_share > 1.0:
+            raise ValueError(
+                f"fix_held_share = {self.fix_held_share:g} and fix_map_share = {self.fix_map_share:g} are shares of "
+                "one variance: expected at most 1 in all"
+            )
 
 
 @dataclass(frozen=True)

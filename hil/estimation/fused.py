@@ -1,111 +1,33 @@
 """The pose by wheels, gyro and pose fixes, which may be late, out of order, wrong or missing."""
 
 import math
-from bisect import bisect_left, insort
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
-from hil.core.kinematics import BodyTwist, to_world
+from hil.core.kinematics import BodyTwist, body_twist, to_world
 from hil.core.model import RobotModel
 from hil.core.signals import EstimatorSignals
 from hil.core.types import NAN, Axes, MeasuredPose, Pose, PoseFix, State
 from hil.estimation.estimators import FilterOptions
+from hil.estimation.history import History
 from hil.estimation.inertial import Inertial, Travel
 from hil.estimation.kalman import (
-    Acceptance,
+    BIAS,
+    FORWARD,
+    GYRO,
+    HEADING,
+    LEFT,
     Belief,
-    Step,
-    corrected,
+    Lasting,
+    Model,
+    Priors,
     gate_of,
-    moved,
     position_sigma_m,
     start,
-    start_unknown,
 )
 from hil.estimation.measurement import DEGRADED, GOOD, LOST, NO_STATUS, Estimator, Measurement, measured_twist
+from hil.estimation.motion_sums import Step
 from hil.estimation.slip import SlipDetector
 from hil.estimation.wheel_motion import Motion, MotionReader
-
-
-@dataclass(slots=True)
-class _Node:
-    """The belief at a measurement, with the step that leads to it and the fixes within that step, in order."""
-
-    belief: Belief
-    step: Step | None
-    fixes: list[MeasuredPose] = field(default_factory=list)
-
-
-class History:
-    """Beliefs at the measurements of the last ``length_ns``, in order.
-
-    A fix is applied at its own instant, within the step that contains it. The result is exactly that of fixes without
-    delay and in order. The cost is to recompute the steps since that instant, at most those of ``length_ns``.
-    """
-
-    def __init__(self, first: Belief, length_ns: int, acceptance: Acceptance) -> None:
-        self._length_ns = length_ns
-        self._acceptance = acceptance
-        self._nodes = deque([_Node(first, None)])
-
-    @property
-    def newest(self) -> Belief:
-        """The belief at the newest measurement."""
-        return self._nodes[-1].belief
-
-    @property
-    def begin_ns(self) -> int:
-        """Fixes must be later than this instant."""
-        return self._nodes[0].belief.time_ns
-
-    def append(self, step: Step, time_ns: int) -> None:
-        """Add one step and drop steps older than ``length_ns``."""
-        self._nodes.append(_Node(moved(self.newest, step, time_ns), step))
-        while self._nodes[1].belief.time_ns <= time_ns - self._length_ns:
-            self._nodes.popleft()
-
-    def replace(self, steps: Sequence[Step]) -> None:
-        """Put these steps in place of the newest, in order; those before the first node do not matter any more."""
-        first = max(1, len(self._nodes) - len(steps))
-        for index in range(first, len(self._nodes)):
-            self._nodes[index].step = steps[index - len(self._nodes)]
-            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
-
-    def insert(self, fixes: list[MeasuredPose]) -> int:
-        """Apply fixes later than ``begin_ns`` and not later than the newest measurement, in any order.
-
-        Returns the number of duplicates, which are not applied twice.
-        """
-        earliest, doubles = len(self._nodes), 0
-        for fix in fixes:
-            index = len(self._nodes) - 1
-            while self._nodes[index - 1].belief.time_ns >= fix.time_ns:
-                index -= 1
-            held = self._nodes[index].fixes
-            place = bisect_left(held, fix)
-            if place < len(held) and held[place] == fix:
-                doubles += 1
-                continue
-            # Ordered by all their numbers, so that fixes of one instant have a fixed order too.
-            insort(held, fix)
-            earliest = min(earliest, index)
-        for index in range(earliest, len(self._nodes)):
-            self._recompute(self._nodes[index - 1].belief, self._nodes[index])
-        return doubles
-
-    def _recompute(self, belief: Belief, node: _Node) -> None:
-        assert node.step is not None, "the first node has no step, and no fix is before it"
-        begin_ns, end_ns = belief.time_ns, node.belief.time_ns
-        for fix in node.fixes:
-            if fix.time_ns > belief.time_ns:
-                share = (fix.time_ns - belief.time_ns) / (end_ns - begin_ns)
-                belief = moved(belief, node.step, fix.time_ns, share)
-            belief = corrected(belief, fix, self._acceptance)
-        if end_ns > belief.time_ns:
-            belief = moved(belief, node.step, end_ns, (end_ns - belief.time_ns) / (end_ns - begin_ns))
-        node.belief = belief
-
 
 _NONE = (0.0, 0.0, 0.0)
 _NO_FIX = (NAN, NAN, NAN, NAN)
@@ -124,9 +46,9 @@ class Release:
         self._release_s = release_s
         self._held: Axes = _NONE
 
-    def correct(self, before: Belief, after: Belief) -> None:
+    def correct(self, before: Pose, after: Pose, *, is_restarted: bool) -> None:
         """Hold back the change that fixes made. A restart of the filter is applied at once."""
-        if not before.is_known or after.restarts != before.restarts or self._release_s == 0.0:
+        if is_restarted or self._release_s == 0.0:
             self._held = _NONE
             return
         x, y, heading = self._held
@@ -144,10 +66,10 @@ class Release:
             x, y, heading = self._held
             self._held = rest * x, rest * y, rest * heading
 
-    def pose(self, belief: Belief) -> Pose:
+    def pose(self, believed: Pose) -> Pose:
         """Return the pose to report."""
         x, y, heading = self._held
-        return Pose(belief.x_m - x, belief.y_m - y, belief.heading_rad - heading)
+        return Pose(believed.x_m - x, believed.y_m - y, believed.heading_rad - heading)
 
 
 _NS = 1e9
@@ -160,6 +82,8 @@ _UNSEEN_RAD = 0.2
 _REFUTED_NS = 250_000_000
 # Slip keeps its direction for about this time: within it errors add up, beyond it their variances do.
 _SLIP_LASTS_S = 0.2
+# After this many times ``restart_after`` rejected fixes that agree, nobody knows where the robot is.
+_CONTRADICTED = 3
 
 
 class FusedEstimator(Estimator):
@@ -183,13 +107,22 @@ class FusedEstimator(Estimator):
         self._model = model
         self._start_pose = start_pose
         self._options = options
-        self._acceptance = Acceptance(
+        lasting = (
+            Lasting(options.fix_held_share, options.fix_held_s, math.inf),
+            Lasting(options.fix_map_share, math.inf, options.fix_map_scale_m),
+        )
+        self._reader = MotionReader(model, counts_per_revolution)
+        self._filter = Model(
             gate_of(options.gate_probability),
             options.restart_after,
             options.gyro_bias_sigma_rad_s**2,
             options.fix_noise_most**2,
+            model.lever_m,
+            # The disagreement is a quarter of four angles, each the difference of two counts.
+            self._reader.count_m**2 / 24.0,
+            tuple(one for one in lasting if one.share > 0.0),
         )
-        self._reader = MotionReader(model, counts_per_revolution)
+        self._erring_m_s = slip_threshold_m_s
         self._slip = SlipDetector(model.lever_m, slip_threshold_m_s, self._reader.count_m)
         self._inertial = Inertial()
         self._last: Measurement | None = None
@@ -198,6 +131,8 @@ class FusedEstimator(Estimator):
         self._waiting: list[MeasuredPose] = []
         self._release = Release(options.release_s)
         self._status = NO_STATUS
+        self._told: Belief | None = None
+        self._sigmas = NAN, NAN
         self._refused = {"too_late": 0, "double": 0, "ahead": 0}
 
     @property
@@ -207,7 +142,7 @@ class FusedEstimator(Estimator):
 
     def fix_figures(self) -> dict[str, int]:
         """Return the number of fixes by outcome; ``restarts`` counts streaks of rejected ones that were accepted."""
-        belief = self._history.newest if self._history is not None else self._before
+        belief = self._history.known if self._history is not None else self._before
         accepted, rejected, restarts = (belief.accepted, belief.rejected, belief.restarts) if belief else (0, 0, 0)
         return {"accepted": accepted, "rejected": rejected, **self._refused, "restarts": restarts}
 
@@ -227,14 +162,14 @@ class FusedEstimator(Estimator):
             self._release.advance(motion.dt_s)
             self._last = last = measurement
         if fixes or self._waiting:
-            before = self._history.newest
+            before, known = self._history.pose, self._history.known
             self._sort(self._history, last.robot_time_ns, fixes)
-            self._release.correct(before, self._history.newest)
-        belief = self._history.newest
-        self._status = self._signals(belief, fixes[-1] if fixes else None)
+            self._correct(self._history, before, known)
+        belief = self._history.known
+        self._status = self._signals(belief, last.robot_time_ns, fixes[-1] if fixes else None)
         if not belief.is_known:
             return None
-        pose = self._release.pose(belief)
+        pose = self._release.pose(self._history.pose)
         return State(pose, to_world(self._twist(last, belief), pose.heading_rad))
 
     def restart(self) -> None:
@@ -250,53 +185,71 @@ class FusedEstimator(Estimator):
         options, before = self._options, self._before
         if before is not None:
             first = _unsure(before)._replace(time_ns=time_ns, fixed_ns=time_ns - (before.time_ns - before.fixed_ns))
-        elif options.begin == "fix":
-            first = start_unknown(time_ns, options.gyro_bias_sigma_rad_s, options.wheels_scale_sigma)
         else:
-            sigmas = options.start_sigma_m, options.start_sigma_rad, options.gyro_bias_sigma_rad_s
-            first = start(time_ns, self._start_pose, *sigmas, options.wheels_scale_sigma)
-        return History(first, round(options.history_s * _NS), self._acceptance)
+            priors = Priors(
+                options.start_sigma_m,
+                options.start_sigma_rad,
+                options.gyro_bias_sigma_rad_s,
+                options.gyro_scale_sigma,
+                options.wheels_scale_sigma,
+                options.left_scale_sigma,
+                options.wheels_differ_sigma,
+            )
+            first = start(time_ns, self._start_pose if options.begin == "start" else None, priors, self._filter)
+        return History(first, round(options.history_s * _NS), self._filter)
 
     def _move(self, history: History, motion: Motion, time_ns: int) -> None:
-        bias_rad_s = history.newest.bias_rad_s
-        if self._inertial.is_inertial and _rejects(history.newest):
-            self._inertial.refute()
-        slip_m_s = self._slip.update(motion, bias_rad_s, self._inertial.bias_m_s2)
-        *again, newest = [self._step(travel) for travel in self._inertial.update(motion, bias_rad_s, slip_m_s)]
-        before = history.newest
-        history.replace(again)
-        self._release.correct(before, history.newest)
-        history.append(newest, time_ns)
+        belief, inertial = history.known, self._inertial
+        if inertial.is_inertial and _rejects(belief):
+            inertial.refute()
+        seen, bias_rad_s = _calibrated(motion, belief, self._model.lever_m)
+        slip_m_s = self._slip.update(seen, bias_rad_s, inertial.bias_m_s2)
+        *again, newest = inertial.update(seen, bias_rad_s, slip_m_s)
+        if again:
+            before = history.pose
+            history.replace([self._step(travel, travel.motion, slip_m_s) for travel in again])
+            self._correct(history, before, belief)
+        history.append(self._step(newest, motion if newest.is_rolled else newest.motion, slip_m_s), time_ns)
 
-    def _step(self, travel: Travel) -> Step:
-        options, motion = self._options, travel.motion
-        way_m = math.hypot(motion.forward_m, motion.left_m) + self._model.lever_m * abs(motion.turned_rad)
-        dt_s = motion.dt_s
+    def _correct(self, history: History, before: Pose, known: Belief) -> None:
+        after = history.known
+        is_restarted = not known.is_known or after.restarts != known.restarts
+        self._release.correct(before, history.pose, is_restarted=is_restarted)
+
+    def _step(self, travel: Travel, motion: Motion, slip_m_s: float) -> Step:
+        options, lever_m = self._options, self._model.lever_m
+        dt_s, forward_m, left_m, turned_rad, gyro_rad, disagreement_m, _, _ = motion
+        yaw_m = lever_m * turned_rad
+        way_m = math.hypot(forward_m, left_m) + abs(yaw_m)
         position_m2 = options.wheels_sigma_m**2 * way_m + travel.sigma_m_s**2 * dt_s * _SLIP_LASTS_S
-        bias_rad2_s2 = options.gyro_bias_walk_rad_s**2 * dt_s
-        turned_rad, biased_s = motion.gyro_rad, dt_s
-        heading_rad2 = (options.gyro_noise_rad_s * dt_s) ** 2
-        if math.isnan(motion.gyro_rad):
-            slip_rad_s = travel.sigma_m_s / self._model.lever_m
-            turned_rad, biased_s = motion.turned_rad, 0.0
+        biased_s, heading_rad2 = dt_s, (options.gyro_noise_rad_s * dt_s) ** 2
+        if math.isnan(gyro_rad):
+            gyro_rad, biased_s = turned_rad, 0.0
+            slip_rad_s = travel.sigma_m_s / lever_m
             heading_rad2 = options.wheels_sigma_rad**2 * way_m + slip_rad_s**2 * dt_s * _SLIP_LASTS_S
         return Step(
-            motion.forward_m,
-            motion.left_m,
-            turned_rad,
+            forward_m,
+            left_m,
+            gyro_rad,
             biased_s,
             position_m2,
             heading_rad2,
-            bias_rad2_s2,
+            options.gyro_bias_walk_rad_s**2 * dt_s,
             travel.is_rolled,
+            yaw_m,
+            NAN if travel.sigma_m_s > 0.0 else disagreement_m,
+            (self._erring_m_s + slip_m_s) * dt_s,
         )
 
     def _twist(self, measurement: Measurement, belief: Belief) -> BodyTwist:
-        """Return the twist by the wheels' true size, or by the inertial sensors, and the gyro's yaw rate."""
-        forward_m_s, left_m_s, yaw_rate_rad_s = measured_twist(self._model, measurement, belief.bias_rad_s)
+        """Return the twist by the wheels as calibrated, or by the inertial sensors, and the gyro's yaw rate."""
+        model = self._model
+        forward, left, turning = body_twist(measurement.speed_rad_s, model.wheel_radius_m, model.lever_m)
+        yaw_rate = measurement.yaw_rate_rad_s
+        true_rate = turning if math.isnan(yaw_rate) else belief.turn(yaw_rate, 1.0)
         if self._inertial.is_inertial:
-            return BodyTwist(*self._inertial.velocity, yaw_rate_rad_s)
-        return BodyTwist(belief.scale * forward_m_s, belief.scale * left_m_s, yaw_rate_rad_s)
+            return BodyTwist(*self._inertial.velocity, true_rate)
+        return BodyTwist(*belief.calibrated(forward, left, model.lever_m * turning), true_rate)
 
     def _sort(self, history: History, now_ns: int, fixes: Sequence[MeasuredPose]) -> None:
         """Insert due fixes, keep those ahead of the newest measurement, count those out of reach."""
@@ -315,20 +268,33 @@ class FusedEstimator(Estimator):
         if due:
             self._refused["double"] += history.insert(due)
 
-    def _signals(self, belief: Belief, fix: MeasuredPose | None) -> EstimatorSignals:
-        sigma_m = position_sigma_m(belief.covariance)
-        age_ns = belief.time_ns - belief.fixed_ns
+    def _signals(self, belief: Belief, now_ns: int, fix: MeasuredPose | None) -> EstimatorSignals:
+        if belief is not self._told:
+            # Once for each belief: the root of a matrix costs as much as the rest of a tick.
+            self._told, self._sigmas = (
+                belief,
+                (
+                    position_sigma_m(belief.covariance),
+                    math.sqrt(max(0.0, float(belief.covariance[HEADING, HEADING]))),
+                ),
+            )
+        sigma_m, sigma_rad = self._sigmas
+        age_ns = now_ns - belief.fixed_ns
         health = DEGRADED if age_ns > self._options.fix_timeout_s * _NS else GOOD
-        if not belief.is_known or sigma_m > self._options.lost_sigma_m:
+        is_contradicted = belief.streak >= _CONTRADICTED * self._options.restart_after
+        if not belief.is_known or is_contradicted or sigma_m > self._options.lost_sigma_m:
             health = LOST
         return EstimatorSignals(
             sigma_m,
-            math.sqrt(max(0.0, belief.covariance.hh)),
-            belief.bias_rad_s,
-            belief.scale,
+            sigma_rad,
+            belief.mean[BIAS],
+            belief.mean[FORWARD],
+            belief.mean[LEFT],
+            belief.mean[GYRO],
             math.sqrt(max(1.0, belief.noise)),
             belief.accepted,
             belief.rejected,
+            belief.restarts,
             age_ns * 1e-6,
             float(self._slip.is_slipping or self._inertial.is_inertial),
             health,
@@ -340,8 +306,20 @@ def _rejects(belief: Belief) -> bool:
     return belief.last_fix is not None and belief.last_fix.time_ns - belief.fixed_ns >= _REFUTED_NS
 
 
+def _calibrated(motion: Motion, belief: Belief, lever_m: float) -> tuple[Motion, float]:
+    """Return a motion as the calibrated wheels have it, and the gyro's bias with what its scale adds to that."""
+    dt_s, forward_m, left_m, turned_rad, gyro_rad, disagreement_m, *gained = motion
+    yaw_m = lever_m * turned_rad
+    true_forward_m, true_left_m = belief.calibrated(forward_m, left_m, yaw_m)
+    _, _, _, bias_rad_s, gyro, _, _, cross, yaw, front, *_ = belief.mean
+    disagreement_m += cross * yaw_m + yaw * left_m + front * forward_m
+    if not math.isnan(gyro_rad):
+        bias_rad_s -= (gyro - 1.0) * gyro_rad / dt_s
+    return Motion(dt_s, true_forward_m, true_left_m, turned_rad, gyro_rad, disagreement_m, *gained), bias_rad_s
+
+
 def _unsure(belief: Belief) -> Belief:
     """Return the belief after a reset of the robot: it moved by an unknown way, and the streak of fixes ends."""
-    p = belief.covariance
-    grown = p._replace(xx=p.xx + _UNSEEN_M**2, yy=p.yy + _UNSEEN_M**2, hh=p.hh + _UNSEEN_RAD**2)
-    return belief._replace(covariance=grown, streak=0, last_fix=None, last_belief=None)
+    covariance = belief.covariance.copy()
+    covariance[[0, 1, 2], [0, 1, 2]] += _UNSEEN_M**2, _UNSEEN_M**2, _UNSEEN_RAD**2
+    return belief._replace(covariance=covariance, streak=0, last_fix=None, last_belief=None)

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from hil.core.errors import BadInputError
 from hil.core.tokens import make_token, read_token, token_file
 from hil.core.types import MeasuredPose, Pose, PoseCovariance, PoseFix
-from hil.estimation.kalman import is_regular
+from hil.estimation.kalman import is_regular, worst_and_best
 
 LOOPBACK = "127.0.0.1"
 _EXPECTED = 'expected "simulated" or udp://127.0.0.1:PORT with a port from 1 to 65535'
@@ -119,19 +119,15 @@ def _number(value: object) -> float:
 
 
 def _is_covariance(covariance: PoseCovariance) -> bool:
-    """Return whether it is positive definite and far from singular, so that a filter can invert it.
+    """Return whether it is positive definite and far from singular in every frame, so that a filter can invert it.
 
-    No sigma is below 10 µm or 10 µrad, and the other two components determine none to less than a twentieth of its
-    sigma, which is a correlation of 0.9987.
+    No sigma is below 10 µm or 10 µrad in any direction, and heading and position leave each other at least a twentieth
+    of their sigma, which is a correlation of 0.9987.
     """
-    xx, xy, xh, yy, yh, hh = covariance
-    if max(xx, yy, hh) > LARGEST or min(xx, yy, hh) < LEAST_VARIANCE:
+    worst_m2, best_m2 = worst_and_best(covariance.xx_m2, covariance.xy_m2, covariance.yy_m2)
+    if max(worst_m2, covariance.hh_rad2) > LARGEST or min(best_m2, covariance.hh_rad2) < LEAST_VARIANCE:
         return False
-    # Cholesky's pivots, as shares of the diagonal: of three the order matters, so that the last is asked for each.
-    return all(
-        is_regular(*ordered, share=_LEAST_SHARE)
-        for ordered in ((xx, xy, xh, yy, yh, hh), (yy, yh, xy, hh, xh, xx), (hh, xh, yh, xx, xy, yy))
-    )
+    return is_regular(covariance, _LEAST_SHARE)
 
 
 _AT_MOST = 16  # datagrams per poll; the rest waits for the next poll

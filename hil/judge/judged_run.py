@@ -185,6 +185,7 @@ class Counts(NamedTuple):
     held_ticks: int | None = None
     rejected: int | None = None
     unmatched: int | None = None
+    fix_restarts: int | None = None
     lost_rows: int | None = None
 
 

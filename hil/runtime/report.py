@@ -65,10 +65,17 @@ def judge(
     cut_s = loop.t_s if is_cut(scenario, loop, report) else None
     figures, reasons = memory.figures(None if cut_s is None else cut_words(cut_s, duration_s))
     refused = {"refused": Count(loop.commands_refused, loop.commands_refused)}
-    counts = {**report.not_driven, **rejections, **refused, "lost_rows": Count(0, 0)}
+    pose_fixes = loop.pose_fixes()
+    restarts = 0 if pose_fixes is None else pose_fixes["restarts"]
+    counts = {
+        **report.not_driven,
+        **rejections,
+        **refused,
+        "fix_restarts": Count(restarts, restarts),
+        "lost_rows": Count(0, 0),
+    }
     if not report.ticks:
         reasons["realtime_factor"] = "the run has no ticks"
-    pose_fixes = loop.pose_fixes()
     if pose_fixes is None:
         reasons["pose_fixes"] = f"{scenario.estimator.source!r} takes none"
     device = bench.device

@@ -96,7 +96,7 @@ class Tick:
         self._latency_s = timing.latency_s
         self._applied = Applied(self._rest, False, timing.latency_s)
         self._before: int | None = None  # the law's last tick; None before its first and before a reset
-        self.count = 0
+        self.count = self._restarts = 0
         self.is_stale = False
         self.is_held = True
 
@@ -115,6 +115,10 @@ class Tick:
         """Call the law, guard and send its command, and write the row. Raises LinkError when the link is lost."""
         feedback, state = sensed
         faults, status, tick = self._faults, self._estimator.status, now.tick
+        if status.fix_restarts > self._restarts:
+            self._restarts = int(status.fix_restarts)
+            words = f"the estimate began again from pose fixes that it had rejected: restart {self._restarts}"
+            self._parts.note(now.t_s, "warning", words)
         if faults is not None:
             state, reference = faults.state(state), faults.reference(reference)
         if state is not None and not is_finite(state):

@@ -265,6 +265,7 @@ class AllowTable:
     rejected: Annotated[Limit, "frames that the host or the robot did not accept"] = 0
     refused: Annotated[Limit, "commands of the law that were not finite; the robot was held at rest instead"] = 0
     unmatched: Annotated[Limit, "torque feedforwards that the robot dropped, as their command was not there"] = 0
+    fix_restarts: Annotated[Limit, "times that the fused estimate began again from pose fixes it had rejected"] = 0
     lost_rows: Annotated[Limit, "ticks that the recording lacks"] = 0
 
 

@@ -1,6 +1,5 @@
 """Odometry against exact motion along arcs; truth against what it was given."""
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -226,17 +225,3 @@ def test_of_controllers_that_tell_speeds_alone_the_angle_over_a_gap_is_not_known
     told = Angles(COUNTS)
     told.add(first._replace(position_rad=(0.0,) * 4))
     assert told.add(first._replace(stamp_ns=10**10, position_rad=(1.0,) * 4))[0] == round(COUNTS / math.tau)
-
-
-def test_an_empty_table_has_the_defaults_that_scenarios_rely_on():
-    """Values of keys that users leave out: another one changes every fused run."""
-    options = build(EstimatorOptions, {}, "estimator")
-    assert dataclasses.asdict(options.filter) == {
-        "begin": "start", "start_sigma_m": 0.01, "start_sigma_rad": 0.01, "wheels_sigma_m": 0.0003,
-        "wheels_scale_sigma": 0.005, "wheels_sigma_rad": 0.02, "gyro_noise_rad_s": 0.01, "gyro_bias_sigma_rad_s": 0.02,
-        "gyro_bias_walk_rad_s": 3e-4, "gate_probability": 0.999, "restart_after": 10, "fix_noise_most": 4.0,
-        "fix_timeout_s": 0.5, "lost_sigma_m": 0.25, "history_s": 1.0, "release_s": 0.2,
-    }  # fmt: skip
-    assert (options.source, options.twist, options.fix, options.slip_threshold_m_s) == (
-        "truth", "source", "simulated", 0.05
-    )  # fmt: skip

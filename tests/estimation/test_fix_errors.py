@@ -147,9 +147,11 @@ def test_one_seed_gives_one_course_and_the_nominal_covariance_is_told_unless_the
     assert FixErrors(SimulatedOptions(**options), 1).covariance == pytest.approx((4e-4, 0, 0, 4e-4, 0, 1e-4))
 
 
-def test_shares_of_more_than_the_whole_are_refused():
-    keys = {"held_share": 0.7, "map_share": 0.5}
-    with pytest.raises(BadInputError, match=r"held_share = 0.7 and map_share = 0.5 are shares of one variance") as bad:
-        load("circle_speed", set={f"estimator.simulated_fix.{key}": value for key, value in keys.items()})
+@pytest.mark.parametrize(("table", "prefix"), [("simulated_fix", ""), ("filter", "fix_")])
+def test_shares_of_more_than_the_whole_are_refused(table, prefix):
+    keys = {f"{prefix}held_share": 0.7, f"{prefix}map_share": 0.5}
+    words = f"{prefix}held_share = 0.7 and {prefix}map_share = 0.5 are shares of one variance"
+    with pytest.raises(BadInputError, match=words) as bad:
+        load("circle_speed", set={f"estimator.{table}.{key}": value for key, value in keys.items()})
     assert "expected at most 1 in all" in str(bad.value)
-    assert "estimator.simulated_fix" in str(bad.value)
+    assert f"estimator.{table}" in str(bad.value)

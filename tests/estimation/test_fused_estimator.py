@@ -120,14 +120,14 @@ def test_a_bias_of_the_gyro_is_found_and_leaves_pose_and_twist_alone():
 def test_without_a_gyro_the_wheels_turn_the_robot_and_it_is_less_sure():
     body = BodyTwist(0.3, 0.0, 0.5)
     with_gyro, without = Drive(body), Drive(body, gyro=False)
-    with_gyro.go(400)
-    without.go(400)
-    turned = 0.5 * 399 * TICK_NS * 1e-9
+    with_gyro.go(402)
+    without.go(402)
+    turned = 0.5 * 401 * TICK_NS * 1e-9
     for drive in (with_gyro, without):
         assert drive.state.pose.heading_rad == pytest.approx(START.heading_rad + turned, abs=1e-3)
     assert math.isnan(without.yaw_rate)
     assert without.status.gyro_bias_rad_s == 0.0
-    way_m = (0.3 + ROBOT.lever_m * 0.5) * 399 * TICK_NS * 1e-9
+    way_m = (0.3 + ROBOT.lever_m * 0.5) * 400 * TICK_NS * 1e-9
     assert without.status.sigma_heading_rad == pytest.approx(math.hypot(0.01, 0.02 * math.sqrt(way_m)), rel=1e-3)
 
 
@@ -170,14 +170,28 @@ def test_a_start_that_is_not_known_waits_for_a_fix():
     assert drive.estimator.fix_figures()["restarts"] == 0
 
 
-def test_fixes_that_go_on_to_disagree_are_believed_after_the_streak():
-    drive = Drive(restart_after=5)
-    elsewhere = Pose(2.0, 1.0, -1.0)
+def test_fixes_that_go_on_to_disagree_are_believed_after_the_streak_if_the_robot_may_be_there():
+    """A slip of 2 m/s would not be noticed here."""
+    drive = Drive(restart_after=5, slip_m_s=2.0)
+    elsewhere = Pose(1.6, 0.3, -0.2)
     drive.go(100, fix_every=20, at=elsewhere)
-    assert (drive.estimator.fix_figures()["restarts"], drive.state.pose) == (0, START)
+    assert (drive.status.fix_restarts, drive.state.pose) == (0.0, START)
     drive.go(80, fix_every=20, at=elsewhere)
-    assert drive.estimator.fix_figures()["restarts"] == 1
+    assert drive.status.fix_restarts == drive.estimator.fix_figures()["restarts"] == 1
     assert drive.state.pose == pytest.approx(elsewhere, abs=1e-6)
+
+
+def test_fixes_of_a_place_that_is_too_far_are_not_believed_and_the_robot_is_lost_until_others_come():
+    """After three times as many as would be believed; one that agrees with wheels and gyro ends it."""
+    drive = Drive(restart_after=5)
+    drive.go(200, fix_every=20)
+    drive.go(14 * 20, fix_every=20, at=Pose(100.0, 1.0, -1.0))
+    assert (drive.status.health, drive.status.fixes_rejected) == (DEGRADED, 14)
+    drive.go(20, fix_every=20, at=Pose(100.0, 1.0, -1.0))
+    assert (drive.status.health, drive.status.fixes_rejected, drive.status.fix_restarts) == (LOST, 15, 0)
+    assert drive.state.pose == pytest.approx(START, abs=1e-3)
+    drive.go(20, fix_every=20)
+    assert drive.status.health == GOOD
 
 
 @pytest.mark.parametrize("off_m_s2", [1.0, 3.0, -30.0])

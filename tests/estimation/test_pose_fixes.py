@@ -57,8 +57,8 @@ def test_a_message_says_when_where_and_how_sure() -> None:
     assert client.age_s == 0.25
 
 
-# Of three sigmas of 20 mm and mrad: the two others leave 0.22 % of one's variance.
-BY_BOTH = 4e-4 * math.sqrt((1 - 0.0022) / 2)
+# Of three sigmas of 20 mm and mrad: heading and position leave 0.24 % of each other's variance.
+BY_BOTH = 4e-4 * math.sqrt((1 - 0.0024) / 2)
 WRONG = [
     (b"", "malformed"),
     (b"\xff\xfe", "malformed"),
@@ -100,13 +100,13 @@ WRONG = [
     (encoded(covariance=[4e-4, 5e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 3e-4, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1.147, 0, 0, 2.418e-9, 0.006976, 20124.4]), "covariance"),
-    (encoded(covariance=[4e-4, 3.9975e-4, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e9, 0, 0, 4e-4, 0, 1e-4]), "covariance"),
     (encoded(covariance=[1e-4, 0, 0, 4e-4, 4e-4 * math.sqrt(1 - 0.0024), 4e-4]), "covariance"),
-    (encoded(covariance=[4e-4, BY_BOTH, BY_BOTH, 4e-4, 0, 4e-4]), "covariance"),
-    (encoded(covariance=[4e-4, BY_BOTH, 0, 4e-4, BY_BOTH, 4e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, BY_BOTH, 4e-4, BY_BOTH, 4e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 0, 9e-11, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[1.0, 0, 0, 0.9e-8, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[0.7e6, 0.5e6, 0, 0.7e6, 0, 1e-4]), "covariance"),
+    (encoded(covariance=[2e-10, 1.5e-10, 0, 2e-10, 0, 1e-4]), "covariance"),
     (encoded(covariance=[4e-4, 0, 0, 4e-4, 0, 1.01e6]), "covariance"),
     (encoded().ljust(1025), "too_long"),
 ]
@@ -123,8 +123,10 @@ def test_what_is_no_message_is_refused_for_its_cause(data: bytes, cause: str) ->
     "message",
     [
         encoded(x_m=1e6, y_m=-1e6),
-        encoded(covariance=[1e6, 0, 0, 1e-10, 0, 1e-10]),
-        encoded(covariance=[4e-4, 4e-4 * math.sqrt(1 - 0.0026), 0, 4e-4, 0, 1e-4]),
+        encoded(covariance=[1e6, 0, 0, 1.1e-2, 0, 1e-10]),
+        encoded(covariance=[1e-4, 0, 0, 1e-10, 0, 1e6]),
+        encoded(covariance=[4e-4, 0, 4e-4 * math.sqrt(1 - 0.0026), 4e-4, 0, 4e-4]),
+        encoded(covariance=[0.12505, 0.12495, 0, 0.12505, 0, 1e-4]),  # 0.5 and 0.01 m, at 45 degrees
         encoded().ljust(1024),
     ],
 )

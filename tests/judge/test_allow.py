@@ -156,7 +156,7 @@ def test_a_fault_that_is_only_recorded_does_not_switch_the_limits_off() -> None:
 def test_limits_are_ticks_or_shares_and_have_their_defaults_by_mode() -> None:
     assert [most(limit, 399) for limit in (0, 7, "5%", "12.5 %", "100%")] == [0, 7, 19, 49, 399]
     assert [most(f"{share}%", 100) for share in range(101)] == list(range(101))
-    others = dict.fromkeys(("rejected", "refused", "unmatched", "lost_rows"), 0)
+    others = dict.fromkeys(("rejected", "refused", "unmatched", "fix_restarts", "lost_rows"), 0)
     assert plain(load("circle_speed").allow) == {"stale_ticks": 0, "held_ticks": 0} | others
     real = load("circle_speed", mode="realtime", set={"allow.stale_ticks": 3})
     assert plain(real.allow) == {"stale_ticks": 3, "held_ticks": "5%"} | others

@@ -118,12 +118,15 @@ _ENTITIES = (
     ),
     _entity("/ctrl/estimator/gyro_bias", ("estimator.gyro_bias_rad_s", "gyro bias", HEADING_COLOUR)),
     _entity(
-        "/ctrl/estimator/factors", ("estimator.wheel_scale", "true size of wheels", PLAIN_COLOUR),
+        "/ctrl/estimator/factors", ("estimator.wheel_scale", "true way forward", PLAIN_COLOUR),
+        ("estimator.left_scale", "true way to the left", REFERENCE_COLOUR),
+        ("estimator.gyro_scale", "true turn", HEADING_COLOUR),
         ("estimator.fix_noise", "noise of fixes", ESTIMATE_COLOUR),
     ),
     _entity(
         "/ctrl/estimator/fixes", ("estimator.fixes_accepted", "accepted", ESTIMATE_COLOUR),
         ("estimator.fixes_rejected", "rejected", ALARM_COLOUR),
+        ("estimator.fix_restarts", "restarts", PLAIN_COLOUR),
     ),
     _entity(
         "/ctrl/estimator/fix", ("estimator.fix_x_m", "x", X_COLOUR), ("estimator.fix_y_m", "y", Y_COLOUR),
