@@ -5,7 +5,7 @@ import math
 from hil.core.errors import BadInputError
 from hil.core.motion_limits import BodyLimits, MotionLimits
 from hil.core.tuples import is_within
-from hil.core.types import ZERO_WHEELS, CommandMode, State, WheelCommand, Wheels
+from hil.core.types import DRIVEN, ZERO_WHEELS, CommandMode, Guarded, State, WheelCommand, Wheels
 
 # Share of the gain of the firmware's own speed loop. That loop runs at 1 kHz; ours also has the link's latency.
 _SHARE = 0.25
@@ -90,21 +90,26 @@ class Guard:
         state: State,
         latency_s: float,
         older_s: float = 0.0,
-    ) -> tuple[WheelCommand, bool]:
-        """Return a command in TORQUE mode as it may act on the moving robot, and whether it was limited at all.
+    ) -> tuple[WheelCommand, bool, Guarded]:
+        """Return a command in TORQUE mode as it may act on the moving robot, whether it was limited, and by what.
 
         ``command`` and ``saturated`` are what ``apply`` returned; the others are as in ``MotionLimits``.
         """
         motion = self._motion
         if motion is None:
-            return command, saturated
+            return command, saturated, DRIVEN
         if not motion.is_near(speed_rad_s, time_ns, state, latency_s, older_s):
-            return command, saturated
+            return command, saturated, DRIVEN
         torque = motion.faded(command.torque_n_m)
         if torque is command.torque_n_m:
-            return command, saturated
+            return command, saturated, DRIVEN
         torque = _scaled(torque, self.torque_limit_n_m)
-        return command._replace(torque_n_m=torque), True
+        return command._replace(torque_n_m=torque), True, motion.taken
+
+    def why(self) -> str:
+        """Return whose torque ``fade`` took when it last took some, and why (``MotionLimits.why``)."""
+        assert self._motion is not None
+        return self._motion.why()
 
 
 class Brake:

@@ -17,6 +17,7 @@ that follow from them are worked out here.
 
 import math
 from collections.abc import Callable
+from itertools import compress, pairwise
 from typing import Literal, NamedTuple
 
 from firmware_protocol.built import BuildError
@@ -24,7 +25,7 @@ from firmware_protocol.extension import library, wheel
 from hil.core.errors import BadInputError
 from hil.core.kinematics import body_twist, body_wrench
 from hil.core.model import RobotModel
-from hil.core.types import State, Wheels
+from hil.core.types import DRIVEN, WHEEL_NAMES, Guarded, Limit, State, Wheels
 from hil.core.wheel_speed import WheelSpeed
 
 TorqueSpeed = Literal["protection", "limit", "off"]
@@ -37,6 +38,8 @@ _SLIP_BEGIN = 0.5  # share of the limit of slip from which the torque is faded
 _TURNS_S = 0.25  # how far ahead a turning robot's wheels are looked at
 _BACK = 12.0  # sums of latency, tick and lag that pass until a wheel that was let go has all of its torque again
 _ALL = 1.0, 1.0, 1.0, 1.0
+_LIMITS = Limit.WHEEL_SPEED, Limit.SLIP, Limit.BODY  # in the order in which they are kept
+_LIMITS_OF_WHEELS = Limit.WHEEL_SPEED, Limit.SLIP, Limit.WHEEL_SPEED  # of a body without limits of its own
 _NEAR = 0.25  # share of the beginning of a band below which nothing is looked at
 
 
@@ -89,6 +92,7 @@ class MotionLimits:
         is_near: returns whether ``faded`` has to be called. It takes each tick's measured wheel speeds, their robot
             time [ns], the robot's state as far as known, the latency of a command [s], and the age of the oldest of the
             four speeds at the time of the state [s].
+        taken: the limit for which ``faded`` took most torque when it last took some, and how much.
     """
 
     def __init__(
@@ -104,6 +108,7 @@ class MotionLimits:
         begin_m_s, end_m_s, _ = slip_band(slip_m_s, model.wheel_radius_m, speed, period_s)
         self._slip_begin, self._slip_end = begin_m_s / model.wheel_radius_m, end_m_s / model.wheel_radius_m
         self._begin(period_s, speed)
+        self.taken = DRIVEN
         self._gripped: tuple[float, ...] = _ALL
         self._given: tuple[float, ...] = _ALL  # share of its torque that each wheel may have at most
         self._body: BodyLimits | None = None
@@ -179,12 +184,40 @@ class MotionLimits:
         return Wheels(*(one / most for one in speed_rad_s)) if most > 1.0 else speed_rad_s
 
     def faded(self, torque: Wheels) -> Wheels:
-        """Return the torques [N·m] of a command by the newest ``is_near``; the same object if none is to be faded."""
+        """Return the torques [N·m] of a command by the newest ``is_near``; the same object if none is to be faded.
+
+        If it is another one, ``taken`` and ``why`` tell of it.
+        """
         seen = self._seen()
-        torque = _times(torque, seen.speed, self._give(torque, seen))
-        if self._slip_begin < math.inf:
-            torque = self._fade_slip(torque, seen)
-        return self._fade_body(torque, seen.coming)
+        given = _times(torque, seen.speed, self._give(torque, seen))
+        gripping = self._fade_slip(given, seen) if self._slip_begin < math.inf else given
+        left = self._fade_body(gripping, seen.coming)
+        if left is not torque:
+            steps = tuple(pairwise((torque, given, gripping, left)))
+            taken = [sum(abs(a - b) for a, b in zip(*step, strict=True)) for step in steps]
+            most = max(range(len(taken)), key=taken.__getitem__)
+            limit = _LIMITS[most] if self._body is not None else _LIMITS_OF_WHEELS[most]
+            self.taken = Guarded(False, limit, sum(taken)) if taken[most] else DRIVEN
+            self._why = seen, [a != b for a, b in zip(*steps[most], strict=True)]
+        return left
+
+    def why(self) -> str:
+        """Return whose torque ``faded`` took when it last took some, and why, with figures and the key of the limit."""
+        (seen, lost), radius_m, limit = self._why, self._model.wheel_radius_m, self.taken.limit
+        wheels, acts = ", ".join(name.upper() for name in compress(WHEEL_NAMES, lost)), "when the command acts"
+        if limit is Limit.SLIP:
+            slip_m_s = radius_m * max(map(abs, compress(seen.coming_slip, lost)))
+            begin, end = radius_m * self._slip_begin, radius_m * self._slip_end
+            fades = f"it fades from {begin:.2g} m/s to {end:.2g} m/s (limiter.slip_m_s)"
+            return f"{wheels}, {slip_m_s:.2g} m/s over the floor {acts}: {fades}"
+        if limit is Limit.BODY and self._body is not None:
+            forward, left, yaw_rate = body_twist(seen.coming, radius_m, self._model.lever_m)
+            now = f"{math.hypot(forward, left):.2g} m/s and {yaw_rate:.2g} rad/s {acts}"
+            most_m_s, most_rad_s = self._body
+            return f"the body, {now}: its limits are {most_m_s:g} m/s and {most_rad_s:g} rad/s"
+        fastest, (begin, end) = max(map(abs, compress(seen.coming, lost))), self._between
+        fades = f"it fades from {begin:.3g} rad/s to {end:.3g} rad/s (limiter.torque_speed)"
+        return f"{wheels}, {fastest:.3g} rad/s {acts}: {fades}"
 
     def _give(self, torque: Wheels, seen: _Seen) -> tuple[float, ...]:
         """Return the share of its torque that each wheel gets: it falls at once, and rises slowly."""

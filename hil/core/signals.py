@@ -88,6 +88,8 @@ class EstimatorSignals(NamedTuple):
 class GuardSignals(NamedTuple):
     saturated: float
     held: float
+    limit: float
+    taken_n_m: float
 
 
 class LinkSignals(NamedTuple):
@@ -180,6 +182,8 @@ _MEANING = {
     "estimator.fix_heading_rad": "the fix as it came, world frame; no value in ticks without one",
     "guard.saturated": "1 when the guard scaled the four wheels at a limit",
     "guard.held": "1 when the law was not called: no usable state, the robot held at rest, or the robot not there",
+    "guard.limit": "what the limiter of motion took most torque for: 0 nothing, 1 wheel speed, 2 slip, 3 body",
+    "guard.taken_n_m": "torque that the limiter of motion took from the command, sum of the four wheels",
     "link.sent": "frames sent so far, without HELLO",
     "link.received": "valid frames received so far, without HELLO",
     "link.rejected": "received frames dropped so far, for any cause; updated every 100 ticks",

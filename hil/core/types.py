@@ -102,6 +102,27 @@ class Applied(NamedTuple):
     latency_s: float
 
 
+class Limit(IntEnum):
+    """What the limiter of motion takes torque for."""
+
+    NONE = 0
+    WHEEL_SPEED = 1
+    SLIP = 2
+    BODY = 3
+
+
+class Guarded(NamedTuple):
+    """What a guard did in a tick, for telemetry.
+
+    ``held``: the law was not called. ``limit``: what the limiter of motion took most torque for, in all ``taken_n_m``
+    of the four wheels.
+    """
+
+    held: bool
+    limit: Limit
+    taken_n_m: float
+
+
 class Gains(NamedTuple):
     """The law's current gains, for telemetry: K1 and K2 of x, y and heading [1/s]; NaN if the law has none."""
 
@@ -143,4 +164,5 @@ class MeasuredPose(NamedTuple):
 ZERO_WHEELS = Wheels(0.0, 0.0, 0.0, 0.0)
 NAN_WHEELS = Wheels(NAN, NAN, NAN, NAN)
 NAN_POSE = Pose(NAN, NAN, NAN)
+DRIVEN, HELD = (Guarded(held, Limit.NONE, 0.0) for held in (False, True))
 NO_GAINS = Gains(NAN, NAN, NAN, NAN, NAN, NAN)

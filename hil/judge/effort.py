@@ -190,3 +190,27 @@ class Saturation(Measure):
             share = np.where(np.isfinite(speed), speed / self._limits.speed_rad_s, torque / self._limits.torque_n_m)
             at_limit |= share >= AT_LIMIT
         return np.asarray(at_limit, dtype=np.float64)
+
+
+class Taken(Measure):
+    """What the limiter of motion took from the law's torques: ∫ Σ|τ| dt over the four wheels."""
+
+    figures = (
+        Figure("taken_n_m_s", "torque taken", "N·m·s", 1.0, "∫ Σ abs(τ) dt that limits of motion took from commands",
+               printed=False, resolution=0.01),
+    )  # fmt: skip
+    signals = ("loop.t_s", "guard.taken_n_m")
+
+    def __init__(self, _setup: RunSetup = RunSetup()) -> None:  # noqa: B008 -- immutable
+        self._held = _Held()
+        self._taken_n_m_s = 0.0
+
+    def add(self, signals: Mapping[str, Series]) -> None:
+        begun = since_start(signals)
+        if len(begun["loop.t_s"]):
+            held_s, taken_n_m = self._held.add(begun["loop.t_s"], begun["guard.taken_n_m"])
+            self._taken_n_m_s += float(held_s @ taken_n_m[:-1])
+
+    def value(self, _name: str) -> float:
+        self._held.require_spans()
+        return self._taken_n_m_s

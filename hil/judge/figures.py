@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, ClassVar
 
 from hil.core.percentiles import Reservoir
-from hil.judge.effort import Effort, Overshoot, Saturation
+from hil.judge.effort import Effort, Overshoot, Saturation, Taken
 from hil.judge.measure import Figure, Measure, NoFigureError, RunSetup, Series, since_start
 from hil.judge.tracking import EstimationError, Tracking
 
@@ -101,6 +101,7 @@ MEASURES: tuple[type[Measure], ...] = (
     Overshoot,
     Effort,
     Saturation,
+    Taken,
     EstimationError,
     Ticks,
     TickTime,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from hil.core.ports import Event, Note
-from hil.core.types import WHEEL_NAMES
+from hil.core.types import WHEEL_NAMES, Guarded, Limit
 from hil.judge.claims import Watch
 from hil.judge.judged_run import STATE_BEGINS, ExpectationResult
 from hil.plant.child_output import ChildOutput, log_lines
@@ -18,6 +18,7 @@ _STATE_SIGNALS = (
     *("error.x_m", "error.y_m", "error.heading_rad", "error.planar_m", "guard.held"),
     *(f"wheel.{wheel}.{quantity}" for quantity in _WHEELS for wheel in WHEEL_NAMES),
 )
+QUIET_S = 1.0
 _EVENTS_KEPT = 10_000
 _LEVELS = {True: "info", None: "warning", False: "error"}
 
@@ -35,6 +36,24 @@ class EventLog:
             self.events.append(Event(t_s, "WARN" if level == "warning" else level.upper(), text))
         if self._following is not None:
             self._following(t_s, level, text)
+
+
+class Takings:
+    """Notes when the limiter of motion begins to take torque: again for the same limit after ``QUIET_S`` without it.
+
+    ``why`` returns the reason of the newest taking.
+    """
+
+    def __init__(self, note: Note, why: Callable[[], str]) -> None:
+        self._note, self._why = note, why
+        self._last_s: dict[Limit, float] = {}
+
+    def add(self, t_s: float, guarded: Guarded) -> None:
+        """Take a tick in which torque was taken."""
+        before_s = self._last_s.get(guarded.limit, -math.inf)
+        self._last_s[guarded.limit] = t_s
+        if t_s - before_s > QUIET_S:
+            self._note(t_s, "warning", f"torque is taken from {self._why()}")
 
 
 class RunEvents:

@@ -14,6 +14,7 @@ from hil.core.types import (
     WHEEL_NAMES,
     Applied,
     CommandMode,
+    Guarded,
     PoseFix,
     Reference,
     State,
@@ -151,7 +152,7 @@ class RowWriter:
                 yaw_rate_rad_s="robot.yaw_rate_rad_s",
             ),
             "estimator": _group("estimator"),
-            "is_held": "guard.held",
+            "guarded": _columns(Guarded, held="guard.held", limit="guard.limit", taken_n_m="guard.taken_n_m"),
             "feedback_age_ns": Scaled("link.feedback_age_ms", 1e-6),
         }
         self._row = row_of(names, objects | standing, ("truth.x_m", "reference.x_m", "error.x_m"))
@@ -168,12 +169,12 @@ class RowWriter:
         reference: Reference,
         applied: Applied,
         estimator: EstimatorSignals,
-        is_held: bool,
+        guarded: Guarded,
     ) -> None:
         """Write the row of a tick: its inputs and its results.
 
         ``silent_ns`` is the time since new feedback last came. ``feedback`` is None after a loss; ``fix`` and ``state``
-        are None if unknown. ``is_held``: the law was not called.
+        are None if unknown.
         """
         if self._observes:  # a line with a bit rate is observed only here, for its load in the run
             self._wire.load_percent(self._wire.byte_counts())
@@ -184,7 +185,7 @@ class RowWriter:
         if not self._has_standing:
             row = self._row.make(
                 tick=tick, reference=reference, state=state, truth=fix, applied=applied, feedback=feedback,
-                estimator=estimator, is_held=is_held, feedback_age_ns=age_ns,
+                estimator=estimator, guarded=guarded, feedback_age_ns=age_ns,
             )  # fmt: skip
         else:
             device, wire, extra = self._device, self._wire, self._extra
@@ -193,7 +194,7 @@ class RowWriter:
                 self._rejected = sum(device.rejected().values())
             row = self._row.make(
                 tick=tick, reference=reference, state=state, truth=fix, applied=applied, feedback=feedback,
-                estimator=estimator, is_held=is_held, feedback_age_ns=age_ns,
+                estimator=estimator, guarded=guarded, feedback_age_ns=age_ns,
                 gains=self._controller.gains, health=device.report.health, link=device.link_figures(),
                 byte_counts=byte_counts, load_percent=wire.load_percent(byte_counts) if wire.is_timed else NAN,
                 rejected=self._rejected, clock_offset_us=device.clock_sync.offset_us,

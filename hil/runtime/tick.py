@@ -9,6 +9,8 @@ from hil.core.ports import Clock, Controller, FixSource, Note, OwnSignals, PoseS
 from hil.core.signals import LoopSignals
 from hil.core.tuples import is_finite
 from hil.core.types import (
+    DRIVEN,
+    HELD,
     NAN_WHEELS,
     ZERO_WHEELS,
     Applied,
@@ -23,6 +25,7 @@ from hil.references import ReferenceSource
 from hil.robot.link_times import CommandLatency
 from hil.robot.port import Device
 from hil.robot.snapshot import Feedback
+from hil.runtime.events import Takings
 from hil.runtime.freshness import Freshness
 from hil.runtime.row import RowWriter
 from hil.runtime.sampling import Timing
@@ -132,6 +135,7 @@ class Tick:
         if state is None or is_held:
             measured = None if freshness.is_silent() else feedback.speed_rad_s
             command, saturated = self._parts.brake.command(measured)
+            guarded = HELD
             self._before = None  # the law is reset after a stop: its integrated state is out of date
         else:
             dt_s, begins = self._period_s, False
@@ -144,16 +148,19 @@ class Tick:
             if faults is not None:
                 requested = faults.command(requested)
             command, saturated = self._guard.apply(requested)
+            guarded = DRIVEN
             if self._fades:
                 older_s = 1e-9 * (sampled_ns - at_ns) if sampled_ns > at_ns else 0.0
-                command, saturated = self._guard.fade(
+                command, saturated, guarded = self._guard.fade(
                     command, saturated, feedback.speed_rad_s, at_ns, state, self._latency_s, older_s
                 )
+                if guarded is not DRIVEN:
+                    self._takings.add(now.t_s, guarded)
         sequence = self._device.send(command)
         self._applied = applied = self._latency.applied(feedback, sequence, sampled_ns, command, saturated)
         self._latency_s = applied.latency_s
         self.is_held = is_held
-        self._rows.write(now, feedback, freshness.silent_ns, fix, state, reference, applied, status, is_held)
+        self._rows.write(now, feedback, freshness.silent_ns, fix, state, reference, applied, status, guarded)
         self.count += 1
 
     def _since_the_law(self, tick: int) -> tuple[float, bool]:
@@ -171,7 +178,7 @@ class Tick:
         self.is_stale, self.is_held = False, True
         applied = Applied(self._nothing, False, self._latency_s)
         status, silent_ns = parts.estimator.status, self._freshness.silent_ns
-        self._rows.write(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, True)
+        self._rows.write(now, parts.device.feedback, silent_ns, fix, state, reference, applied, status, HELD)
         self.count += 1
         self._before = None
 
@@ -230,6 +237,7 @@ class Tick:
         self._parts = parts
         self._device, self._fixes, self._estimator = parts.device, parts.fixes, parts.estimator
         self._controller, self._guard = parts.controller, parts.guard
+        self._takings = Takings(parts.note, parts.guard.why)
         self._faults = parts.faults
         self._uses_truth = parts.estimator.uses_truth
         self._update_limits()

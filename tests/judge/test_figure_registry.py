@@ -61,7 +61,7 @@ def test_a_figure_tells_differences_of_its_resolution() -> None:
         **dict.fromkeys(("steady_rms_m", "estimation_error.rms_m", "estimation_error.heading_rms_rad"), 2e-6),
         **dict.fromkeys(("steady_max_m", "estimation_error.max_m"), 5e-6),
         "overshoot_m": 1e-4,
-        **dict.fromkeys(("effort_n_m_s", "torque_variation_n_m_per_s"), 0.01),
+        **dict.fromkeys(("effort_n_m_s", "torque_variation_n_m_per_s", "taken_n_m_s"), 0.01),
     }
     assert {ticks for _, ticks in found.values()} == {0.0, 1.0}
 

@@ -22,6 +22,8 @@ def test_torque_of_wheels_that_roll_is_left_alone_at_any_resolution(counts: int,
     coarse, fine = (driven(one, law, **limit) for one in (counts, 4096))
     assert coarse.metrics["t10_s"] == pytest.approx(fine.metrics["t10_s"], abs=0.02)
     assert coarse.metrics["saturation_s"] == pytest.approx(fine.metrics["saturation_s"], abs=0.02)
+    assert coarse.metrics["taken_n_m_s"] == 0.0
+    assert not [event.text for event in coarse.run.events if "torque is taken" in event.text]
 
 
 def test_a_speed_loop_that_follows_its_encoder_is_calm_and_as_fast() -> None:
@@ -44,4 +46,13 @@ def test_wheels_that_slip_lose_their_torque_at_64_counts_too() -> None:
         max(np.abs(run.signals[f"wheel.{wheel}.speed_rad_s"]).max() for wheel in WHEEL_NAMES) for run in (kept, free)
     ]
     assert fastest[0] < 35.0 < 70.0 < fastest[1]
+    taken_n_m, t_s = kept.signals["guard.taken_n_m"], kept.signals["loop.t_s"]
+    assert kept.metrics["taken_n_m_s"] == pytest.approx(float(taken_n_m[:-1] @ np.diff(t_s)), rel=1e-9)
+    assert kept.metrics["taken_n_m_s"] > 0.5
+    assert set(kept.signals["guard.limit"][taken_n_m > 0.0]) == {2.0}
+    noted = [event for event in kept.run.events if event.text.startswith("torque is taken from ")]
+    assert 1 <= len(noted) <= 3
+    assert noted[0].t_s == pytest.approx(t_s[np.flatnonzero(taken_n_m)[0]])
+    assert "(limiter.slip_m_s)" in noted[0].text
+    assert set(free.signals["guard.limit"]) <= {0.0, 1.0}, "only for the speed of a wheel"
     assert kept.metrics["torque_variation_n_m_per_s"] < 20.0

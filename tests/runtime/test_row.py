@@ -15,6 +15,8 @@ from hil.core.types import (
     Applied,
     CommandMode,
     Gains,
+    Guarded,
+    Limit,
     Pose,
     PoseFix,
     Reference,
@@ -80,7 +82,9 @@ def written(names: Sequence[str], asked: Callable[[str], None] = lambda _: None,
     rows: list[bytes] = []
     sink = SimpleNamespace(put=rows.append)
     writer = RowWriter(names, Device(), wire, Law(), CommandMode.SPEED, [EXTRA], [sink], LATENCY_NS)
-    writer.write(LOOP, FEEDBACK, 2_000_000, FIX, STATE, REFERENCE, APPLIED, ESTIMATOR, False)
+    writer.write(
+        LOOP, FEEDBACK, 2_000_000, FIX, STATE, REFERENCE, APPLIED, ESTIMATOR, Guarded(False, Limit.SLIP, 142.0)
+    )
     (packed,) = rows
     return dict(zip(names, memoryview(packed).cast("d").tolist(), strict=True))
 
@@ -144,6 +148,8 @@ def test_every_value_of_a_row_stands_under_its_signals_name() -> None:
         **{f"estimator.{name}": value for name, value in ESTIMATOR._asdict().items()},
         "guard.saturated": 1.0,
         "guard.held": 0.0,
+        "guard.limit": 2.0,
+        "guard.taken_n_m": 142.0,
         "link.sent": 130,
         "link.received": 131,
         "link.rejected": 133,

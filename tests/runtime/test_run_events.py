@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from hil.core.types import Guarded, Limit
 from hil.judge.result import RunResult
 from hil.judge.run_text import STATE_BEGINS
 from hil.record.reader import read
 from hil.record.recording import Recording
 from hil.runtime.assembly import RunOptions, run_scenario
-from hil.runtime.events import EventLog, RunEvents
+from hil.runtime.events import EventLog, RunEvents, Takings
 from hil.scenario import load
 from hil.scenario.trial import ExpectTable
 
@@ -179,3 +180,12 @@ def test_the_log_keeps_the_first_events_and_passes_on_all(monkeypatch: pytest.Mo
     assert [tuple(event) for event in log.events] == kept
     assert passed_on[1:] == [(1.0, "warning", "event 1"), (2.0, "error", "event 2"), (3.0, "debug", "event 3")]
     EventLog(None).note(0.0, "info", "nobody follows")
+
+
+def test_a_limit_that_takes_torque_is_noted_when_it_begins_and_again_after_a_second_without() -> None:
+    told: list[tuple[float, str, str]] = []
+    takings = Takings(lambda *one: told.append(one), lambda: f"wheel {len(told)}")
+    for t_s in (0.5, 0.505, 1.4, 2.4, 3.41):
+        takings.add(t_s, Guarded(False, Limit.SLIP, 1.0))
+    takings.add(3.42, Guarded(False, Limit.BODY, 1.0))
+    assert told == [(t_s, "warning", f"torque is taken from wheel {i}") for i, t_s in enumerate((0.5, 3.41, 3.42))]

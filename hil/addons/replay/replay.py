@@ -30,7 +30,7 @@ PARTS: Mapping[str, Sequence[str]] = {
     "estimate": ("estimator.*", "pose.*", "twist.*"),
     "reference": ("reference.*",),
     "law": ("gain.*",),
-    "guard": ("guard.saturated",),
+    "guard": ("guard.saturated", "guard.limit", "guard.taken_n_m"),
     "command": ("wheel.*.speed_command_rad_s", "wheel.*.torque_command_n_m"),
     "client": ("link.rtt_ms", "link.clock_*"),
     "row": ("truth.*", "error.*", "loop.t_s"),

@@ -45,6 +45,7 @@ _WHEELS = {
     "Motor current and limits [A]": ("/ctrl/wheel/current",),
     "Winding temperature [°C]": ("/ctrl/wheel/temperature",),
     "Command scaled at a limit: 1 for yes": ("/ctrl/guard",),
+    "Torque taken by a limit of motion [N·m], and which": ("/ctrl/limiter",),
     "Battery [V] and [A]": ("/robot/battery",),
 }
 """The plots of a tab by their titles, each with the paths of the entities that it shows."""

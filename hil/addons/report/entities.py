@@ -138,6 +138,7 @@ _ENTITIES = (
         ("estimator.health", "health", ALARM_COLOUR),
     ),
     _entity("/ctrl/guard", ("guard.saturated", "saturated", ALARM_COLOUR), ("guard.held", "held", REFERENCE_COLOUR)),
+    _entity("/ctrl/limiter", ("guard.taken_n_m", "taken", ALARM_COLOUR), ("guard.limit", "limit", REFERENCE_COLOUR)),
     _entity("/robot/clock", ("robot.time_s", "robot time", PLAIN_COLOUR)),
     _entity("/robot/state_code", ("robot.state", "state", PLAIN_COLOUR)),
     _entity(

@@ -15,6 +15,7 @@ import rerun as rr
 from firmware_protocol.generated.messages import State
 from hil.addons.report.claim_watch import Checked, Claim, Columns, Standing
 from hil.addons.report.verdict_text import FAILED, NOT_JUDGED, PASSED, RUNNING
+from hil.core.types import Limit
 from hil.record.properties import table_rows
 from hil.record.ring import Rows
 from hil.record.stream import Times, indexes, seconds_index
@@ -76,6 +77,13 @@ def _row_lanes(column: Columns, values: Mapping[str, Any]) -> Iterator[Lane]:
     if {"link.rejected", "link.lost", "link.feedback_age_ms"} <= column.keys():
         colours = dict(zip(_LINK_STATES.values(), (_GREEN, _YELLOW, _ORANGE, _RED), strict=True))
         yield Lane(f"{LANES}/3_link", colours, _LINK_STATES, _Link(column, stale_ms))
+    if "guard.limit" in column:
+        limits = {int(limit): limit.name.replace("_", " ") for limit in Limit if limit is not Limit.NONE}
+        limit = column["guard.limit"]
+        colours = dict.fromkeys(limits.values(), _ORANGE)
+        yield Lane(
+            f"{LANES}/4_limiter", colours, limits, lambda rows: np.where(rows[:, limit] > 0.0, rows[:, limit], np.nan)
+        )
     if "estimator.health" in column:
         colours = {"GOOD": _GREEN, "DEGRADED": _ORANGE, "LOST": _RED}
         health = dict(enumerate(colours))

@@ -18,14 +18,15 @@ COLUMN = {
     name: place
     for place, name in enumerate(
         ("loop.t_s", "loop.tick", "robot.state", "link.rejected", "link.lost", "link.feedback_age_ms",
-         "estimator.health", "error.x_m")
+         "estimator.health", "error.x_m", "guard.limit")
     )
 }  # fmt: skip
 ROWS = np.array(
     [
-        (0.000, 0, NAN, 0, 0, 5.0, 0, 0.5), (0.125, 1, 2, 0, 0, 5.0, 0, 0.5), (0.250, 2, 3, 1, 0, 5.0, 1, 1.5),
-        (0.375, 3, 3, 1, 0, 60.0, 2, 0.5), (0.500, 4, 4, 1, 2, 50.0, 1, 1.5), (0.625, 5, NAN, 1, 2, NAN, NAN, 0.5),
-        (0.750, 6, NAN, 1, 2, NAN, NAN, 0.5), (0.875, 7, 99, 1, 2, 5.0, 0, 0.5),
+        (0.000, 0, NAN, 0, 0, 5.0, 0, 0.5, 0), (0.125, 1, 2, 0, 0, 5.0, 0, 0.5, 2), (0.250, 2, 3, 1, 0, 5.0, 1, 1.5, 2),
+        (0.375, 3, 3, 1, 0, 60.0, 2, 0.5, 1), (0.500, 4, 4, 1, 2, 50.0, 1, 1.5, 0),
+        (0.625, 5, NAN, 1, 2, NAN, NAN, 0.5, 0),
+        (0.750, 6, NAN, 1, 2, NAN, NAN, 0.5, 3), (0.875, 7, 99, 1, 2, 5.0, 0, 0.5, NAN),
     ]
 )  # fmt: skip
 VALUES: Mapping[str, Any] = {

@@ -17,7 +17,7 @@ from hil.core.guard import Guard
 from hil.core.kinematics import BodyTwist, body_twist, body_wrench, wheel_speeds
 from hil.core.model import RobotModel
 from hil.core.motion_limits import BAND, BodyLimits, MotionLimits, TorqueSpeed
-from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, Pose, State, Twist, WheelCommand, Wheels
+from hil.core.types import WHEEL_NAMES, ZERO_WHEELS, CommandMode, Limit, Pose, State, Twist, WheelCommand, Wheels
 from hil.references import make_reference
 from hil.scenario import ServiceTable
 from tests.support.pilot_bench import OPTIONS, PilotBench, armed_pilot
@@ -52,8 +52,10 @@ def faded(made: Guard, torque: Wheels, *measured: Wheels, state: State = AT_REST
     """Return the torques that are left after these speeds were measured, a tick apart."""
     command = WheelCommand(CommandMode.TORQUE, ZERO_WHEELS, torque)
     for tick, speed in enumerate(measured):
-        left, limited = made.fade(command, False, speed, round(tick * PERIOD_S * 1e9), state, 0.005)
+        left, limited, guarded = made.fade(command, False, speed, round(tick * PERIOD_S * 1e9), state, 0.005)
         assert limited == (left.torque_n_m != torque)
+        assert guarded.taken_n_m >= 0.99 * sum(abs(a - b) for a, b in zip(torque, left.torque_n_m, strict=True))
+        assert (guarded.limit is Limit.NONE) == (guarded.taken_n_m == 0.0) == (not limited)
     return left.torque_n_m
 
 
