@@ -72,7 +72,6 @@ def reach() -> Iterator[Condition]:
     for percent in (-1.0, 1.0):
         scale = {f"{START}gyro_scale": 1.0 + 0.01 * percent}
         yield Condition(f"gyro {percent:+g} %, figure of eight", scale, scenario="figure_eight")
-    filter_told = {"lasting": {"held_share": 1.0, "held_s": 2.0}, "of two maps": {"map_share": 0.5, "map_scale_m": 3.0}}
     for words, name in (
         ("noise of fixes lasts 2 s, told", "lasting"),
         ("map off by 20 mm, otherwise in each room, told", "of two maps"),
@@ -81,8 +80,7 @@ def reach() -> Iterator[Condition]:
         ("corridor: 5 times the noise along it, told", "in a corridor"),
         ("300 ms late", "300 ms late"),
     ):
-        told = {f"estimator.filter.fix_{key}": value for key, value in filter_told.get(name, {}).items()}
-        yield Condition(words, {**FIXES[name], **told})
+        yield Condition(words, FIXES[name])
     yield Condition("none from 20 s to 30 s", {f"{FIX}gap_start_s": 20.0, f"{FIX}gap_end_s": 30.0})
 
 

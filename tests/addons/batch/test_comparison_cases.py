@@ -44,6 +44,9 @@ def test_cases_go_where_they_say_and_each_is_a_scenario() -> None:
     fused = [one for one in scenarios if one.estimator.source == "fused"]
     assert 45 <= len(fused) <= 75
     assert len({one.estimator.simulated_fix for one in fused}) == len(FIXES)
+    told = [(one.estimator.filter, one.estimator.simulated_fix) for one in fused]
+    assert {(one.fix_held_share, one.fix_map_share) for one, _ in told} == {(0.0, 0.0), (1.0, 0.0), (0.0, 0.5)}
+    assert all((one.fix_held_share, one.fix_map_share) == (fix.held_share, fix.map_share) for one, fix in told)
     assert {one.estimator.simulated_fix for one in scenarios if one not in fused} == {SimulatedOptions()}
     radii = [float(one[f"wheel.{wheel}.radius_factor"]) for one in start for wheel in ("fl", "fr", "rr", "rl")]
     assert 0.98 <= min(radii) < 0.981 < 1.019 < max(radii) <= 1.02

@@ -19,15 +19,22 @@ MAKERS = ("odrive", "vesc")
 """Motors of other makers, half of the cases: each does its speed loop by itself, and acknowledges no command."""
 COUNTS = tuple(2**n for n in range(6, 14))
 """Encoder counts of one turn of a wheel: 64 to 8192."""
-_FIX = "estimator.simulated_fix."
+_FIX, _TOLD = "estimator.simulated_fix.", "estimator.filter.fix_"
 FIXES: Mapping[str, Mapping[str, Any]] = {
     "as told": {},
-    "lasting": {f"{_FIX}held_share": 1.0, f"{_FIX}held_s": 2.0},
+    "lasting": {
+        f"{_FIX}held_share": 1.0,
+        f"{_FIX}held_s": 2.0,
+        f"{_TOLD}held_share": 1.0,
+        f"{_TOLD}held_s": 2.0,
+    },
     "of two maps": {
         f"{_FIX}sigma_m": 0.0283,
         f"{_FIX}map_share": 0.5,
         f"{_FIX}map_scale_m": 3.0,
         f"{_FIX}map_blend": 0.0,
+        f"{_TOLD}map_share": 0.5,
+        f"{_TOLD}map_scale_m": 3.0,
     },
     "twice as noisy": {f"{_FIX}noisier": 2.0},
     "in a corridor": {f"{_FIX}corridor_times": 5.0, f"{_FIX}tells": "truth"},
@@ -35,7 +42,7 @@ FIXES: Mapping[str, Mapping[str, Any]] = {
     "300 ms late": {f"{_FIX}latency_s": 0.3},
     "none for 5 s": {f"{_FIX}gap_start_s": 5.0, f"{_FIX}gap_end_s": 10.0},
 }
-"""How pose fixes err (``hil.estimation.fix_errors``), and the keys that make them so."""
+"""How pose fixes err (``hil.estimation.fix_errors``): the keys that make them so, and tell the filter what lasts."""
 _TORQUE_N_M = 1.5, 5.0
 _MASS = 0.5, 2.0
 _FRICTION = 0.2, 4.0
