@@ -50,7 +50,7 @@ FEEDBACK = Feedback(
     acceleration_m_s2=(70.0, 71.0, 72.0),
     yaw_rate_rad_s=73.0,
 )
-ESTIMATOR = EstimatorSignals(*range(180, 194))
+ESTIMATOR = EstimatorSignals(*range(180, 180 + len(EstimatorSignals._fields)))
 GAINS = Gains(*range(90, 90 + len(Gains._fields)))
 APPLIED = Applied(WheelCommand(CommandMode.SPEED, four(100), four(110)), True, 0.12)
 EXTRA = SimpleNamespace(signals=("one", "other"), telemetry=(150.0, 151.0))

@@ -76,7 +76,8 @@ def _row(tick: int, t_s: float, state: float) -> tuple[float, ...]:
         RobotSignals(t_s + 0.02, state, 1.0, 0.01, 0.1, -0.1, 9.81),
         BatterySignals(24 - 0.01 * t_s, 2.0),
         EstimatorSignals(
-            0.01, 0.02, 1e-3, 1.001, 1.0, float(tick // 100), 1.0, float(tick % 100), 0.0, 0.0, *[math.nan] * 4
+            *(0.01, 0.02, 1e-3, 1.001, 0.999, 1.002, 1.0),
+            *(float(tick // 100), 1.0, 0.0, float(tick % 100), 0.0, 0.0, *[math.nan] * 4),
         ),
         GuardSignals(float(t_s < 0.2), 0.0, 0.0, 0.0),
         LinkSignals(2.0 * tick, 5.0 * tick, 0.0, 1.0, 0.0, 28.0 * tick, 70.0 * tick, 40.0, 5.0, 6.0, 20e3 - t_s, -1.0),
