@@ -64,6 +64,7 @@ def test_faults_and_expectations_are_told_at_their_tick_and_counts_at_the_end(tm
         "{ signal = 'loop.tick', settles_to = 399, tolerance = 0.5 }]",
     )
     in_time = {text: (rows, t_s, level) for text, (rows, t_s, level) in events.items() if t_s > 0.0}
+    assert len([text for text, (_, _, level) in [*in_time.items()] if level == "journal" and in_time.pop(text)]) > 10
     [state] = [text for text in in_time if text.startswith(STATE_BEGINS)]
     assert in_time.pop(state) == (101, 0.5, "info"), "how the robot was is told once, when the run first fails"
     first, open_end = "override error.planar_m 9 from 0.5 s to 0.752 s", "drop command 0.1 from 1.5 s"

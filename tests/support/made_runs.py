@@ -108,7 +108,7 @@ def _made() -> tuple[MadeRun, MadeRun]:
         RecordedRun(Path("one.rrd"), _signals(200, 0.0), events, properties, None, 0),
         JudgedRun(
             identity=Identity("made", "dsc", "lockstep", "speed", "memory:", 1), verdict=Verdict.FAILED,
-            figures=_figures(0.0), counts=Counts(1, 2, 3, 4, 5, 6), expect=expect, faults=faults,
+            figures=_figures(0.0), counts=Counts(1, 2, 3, 4, 5, 0, 6), expect=expect, faults=faults,
             failure=Failure("the link is gone", "LinkError", 1.97), recording="one.rrd", events=events,
             allow=(LimitResult("stale_ticks", False, 2, 2, 0, -2.0, "stale ticks: 2, allowed 0"),),
             made={"command": "speed", "started": "2026-01-02", "mecanum_hil": "0.3", "commit": "abc", "machine": "one"},
@@ -130,7 +130,7 @@ def _made() -> tuple[MadeRun, MadeRun]:
             one.judged, identity=Identity("made", "pid", "lockstep", "speed", "udp:", 2), verdict=Verdict.PASSED,
             figures={name: value for name, value in _figures(4.0).items() if name != "tracked_s"}, expect=passed,
             reasons={"tracked_s": "it never was"}, faults=faults[:1], failure=None, recording="two.rrd",
-            events=events[:2], allow=(), made={"command": "speed"}, notes=(), counts=Counts(1, 0, 3, 4, 5, 6),
+            events=events[:2], allow=(), made={"command": "speed"}, notes=(), counts=Counts(1, 0, 3, 4, 5, 0, 6),
         ),
     )  # fmt: skip
     return one, two

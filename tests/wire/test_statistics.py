@@ -290,7 +290,9 @@ def test_in_real_time_the_clock_is_read_over_a_link(link):
     assert clock["answered"] > 0
     assert clock["round_trip_us"]["p50"] > 0
     # A robot in this process counts from when it was made, a moment after the run's clock.
-    assert -5e6 < clock["offset_us"] + result.metrics["robot_slipped_ticks"] * 1000 < 0
+    # It slips only further behind, perhaps after the last answer.
+    assert clock["offset_us"] < 0
+    assert clock["offset_us"] + result.metrics["robot_slipped_ticks"] * 1000 > -5e6
     assert trip["count"] > 0
     assert 0 < trip["p50"] <= trip["p99"]
 

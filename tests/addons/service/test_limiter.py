@@ -148,9 +148,9 @@ def test_set_points_of_a_body_with_limits_are_scaled_together(asked: Wheels):
     assert math.hypot(forward, sideways) <= 0.525 + 1e-9
     assert abs(yaw_rate) <= 1.05 + 1e-9
     assert limited == (left.speed_rad_s != asked)
-    largest = max(asked, key=abs)
-    if largest:
-        factor = max(left.speed_rad_s, key=abs) / largest
+    wheel = max(range(4), key=lambda place: abs(asked[place]))
+    if asked[wheel]:
+        factor = left.speed_rad_s[wheel] / asked[wheel]
         assert left.speed_rad_s == pytest.approx([factor * one for one in asked])
 
 
