@@ -282,14 +282,15 @@ def _assignments(given: Mapping[str, object] | Sequence[str]) -> list[tuple[str,
     if isinstance(given, Mapping):
         pairs = [(str(key), _plain_python(value)) for key, value in given.items()]
     else:
-        pairs = [_key_and_value(text) for text in ([given] if isinstance(given, str) else given)]
+        pairs = [key_and_value(text) for text in ([given] if isinstance(given, str) else given)]
     for key, _ in pairs:
         if key == "extends":
             raise BadInputError(f"{_SET} extends: only a file can extend another; name that scenario instead")
     return sorted(pairs, key=lambda pair: pair[0] not in _CHOICES)
 
 
-def _key_and_value(text: str) -> tuple[str, object]:
+def key_and_value(text: str) -> tuple[str, object]:
+    """Return key and value of a text ``key=value``, the value in TOML. Raises BadInputError for another form."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise BadInputError(f"{_SET} {text}: expected key=value, such as robot.mass_kg=24")

@@ -1,6 +1,7 @@
 """A link and a clock whose session the journal of a recording keeps (``hil.record.journal``)."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from firmware_protocol.framing import Frame
@@ -24,19 +25,13 @@ class KeptLink(ConditionedLink):
         self._told: LinkError | None = None
 
     def send_all(self, frames: Sequence[Frame]) -> None:
-        try:
+        with self._keeping_loss():
             super().send_all(frames)
-        except LinkError as error:
-            self._lost(error)
-            raise
         self._journal.frames(Kind.SENT, self.clock.now_ns(), 0, frames)
 
     def receive(self, timeout_ns: int) -> Received | None:
-        try:
+        with self._keeping_loss():
             received = super().receive(timeout_ns)
-        except LinkError as error:
-            self._lost(error)
-            raise
         now_ns = self.clock.now_ns()
         if received is None:
             self._journal.add(Kind.EMPTY, now_ns)
@@ -46,27 +41,26 @@ class KeptLink(ConditionedLink):
         return received
 
     def service(self, *, everything: bool = False) -> None:
-        try:
+        with self._keeping_loss():
             super().service(everything=everything)
-        except LinkError as error:
-            self._lost(error)
-            raise
 
     def hand_over_until(self, clock: Clock, t_ns: int) -> None:
         super().hand_over_until(self.clock, t_ns)  # these waits are the link's
 
     def reopen(self) -> None:
-        try:
+        with self._keeping_loss():
             super().reopen()
-        except LinkError as error:
-            self._lost(error)
-            raise
 
-    def _lost(self, error: LinkError) -> None:
-        if error is self._told:  # by the call within this one
-            return
-        self._told = error
-        self._journal.add(Kind.LOST, self.clock.now_ns(), 0, str(error).encode("utf-8", "replace"))
+    @contextlib.contextmanager
+    def _keeping_loss(self) -> Iterator[None]:
+        """Keep the loss of the link in the journal, once where one call raises it through another."""
+        try:
+            yield
+        except LinkError as error:
+            if error is not self._told:
+                self._told = error
+                self._journal.add(Kind.LOST, self.clock.now_ns(), 0, str(error).encode("utf-8", "replace"))
+            raise
 
 
 class KeptClock:

@@ -53,8 +53,7 @@ def bisect(span: str, recording: Path, arguments: Sequence[str] = ()) -> Culprit
                 _check(name, subprocess.run(step, check=False).returncode, expected)
             _git(tree, "bisect", "start", commits[bad], commits[good])
             subprocess.run(["git", "bisect", "run", *step], cwd=tree, stdout=subprocess.DEVNULL, check=False)
-            skipped = "only skipped commits" in _git(tree, "bisect", "log")
-            if skipped:
+            if "only skipped commits" in _git(tree, "bisect", "log"):
                 raise DeviceError(
                     f"--bisect {span}: the commits between the last that is equal and the first that differs cannot be "
                     "replayed; their lines above say why"

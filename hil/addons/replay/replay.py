@@ -22,7 +22,7 @@ from hil.record.reader import RecordedRun
 from hil.runtime.assembly import run_scenario
 from hil.runtime.run_options import RunOptions
 from hil.scenario import Scenario
-from hil.scenario.toml_text import parse_value
+from hil.scenario.load import from_values, key_and_value
 
 PARTS: Mapping[str, Sequence[str]] = {
     "feedback": ("wheel.*.speed_rad_s", "wheel.*.current_a", "wheel.*.temperature_degc", "robot.*", "battery.*"),
@@ -150,12 +150,8 @@ def replay(
 
 def changed(run: RecordedRun, sets: Sequence[str]) -> RecordedRun:
     """Return a run whose recorded scenario has other values, given as KEY=VALUE. Raises BadInputError."""
-    values = scenario_of(run)
-    for text in sets:
-        key, equals, value = text.partition("=")
-        if not equals:
-            raise BadInputError(f"--set {text}: expected KEY=VALUE, as in controller.law=dsc")
-        values[key] = parse_value(value)
+    values = scenario_of(run) | dict(map(key_and_value, sets))
+    from_values(run.properties.get("scenario_name", ""), values, {})  # it raises for a value that is none
     return replace(run, properties=run.properties | {"scenario": json.dumps(values)})
 
 

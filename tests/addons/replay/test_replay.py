@@ -259,8 +259,10 @@ def test_a_value_of_the_recorded_scenario_can_be_set(run, capsys):
         command(run.path, sets=["controller.gains.k1_1_s=8.01"])
     assert capsys.readouterr().out.startswith("different: law first; ")
     command(run.path, sets=["loop.tick_limit_s=9"])
-    with pytest.raises(BadInputError, match=r"--set loop: expected KEY=VALUE, as in controller\.law=dsc"):
+    with pytest.raises(BadInputError, match=r"--set loop: expected key=value, such as robot\.mass_kg=24"):
         command(run.path, sets=["loop"])
+    with pytest.raises(BadInputError, match=r"unknown key controller\.gain; did you mean 'controller\.gains'"):
+        command(run.path, sets=["controller.gain=3"])
     with pytest.raises(BadInputError, match="--bisect records no replay; leave --record out"):
         command(run.path, bisect="a..b", record=run.path)
 
